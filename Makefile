@@ -1,0 +1,78 @@
+# make demo   the medium rough layer, from its scene file to the figures
+# make test   the test suite
+# make lint   ruff and mypy
+# Each makes the environment .venv first, once, with DOLFINx and everything else from PyPI.
+# PYTHON=/path/to/python chooses the Python to make it with.
+
+ifneq (4.0,$(firstword $(sort 4.0 $(MAKE_VERSION))))
+$(error GNU make $(MAKE_VERSION) is too old, 4.0 or newer is needed: try apt install make)
+endif
+
+.ONESHELL:
+.SHELLFLAGS := -euc
+.SILENT:
+.PHONY: install demo test lint clean
+
+# Small problems want ranks, not threads; on one machine MPI has no network card to look for.
+export OMP_NUM_THREADS ?= 1
+export UCX_TLS ?= self,sm,tcp
+
+scene := layer_medium_rough
+
+demo: .venv/.complete
+	.venv/bin/cosserat-fx run demos/$(scene).toml --out runs/$(scene) --overwrite
+	echo "The figures are in runs/$(scene)/figures."
+
+test: .venv/.complete
+	.venv/bin/python -m pytest
+
+lint: .venv/.complete
+	.venv/bin/ruff check
+	.venv/bin/ruff format --check
+	.venv/bin/mypy
+
+install: .venv/.complete
+
+clean:
+	rm -rf .venv build *.egg-info .hypothesis .mypy_cache .pytest_cache .ruff_cache
+	find cosserat_fx forms tests demos -name __pycache__ -prune -exec rm -rf {} +
+
+# Python's own word on whether an environment can be made with it: silent, or one sentence on what is missing.
+define check_machine
+import os, platform, shlex, shutil, subprocess, sys, sysconfig
+from importlib.util import find_spec
+
+python = f"python{sysconfig.get_python_version()}"
+libc, libc_version = platform.libc_ver()
+compiler = shlex.split(os.environ.get("CC") or sysconfig.get_config_var("CC") or "cc")
+preprocess = [*compiler, "-E", "-I" + sysconfig.get_path("include"), "-x", "c", "-o", os.devnull, "-"]
+
+if (sys.platform, platform.machine()) != ("linux", "x86_64"):
+    sys.exit(f"The DOLFINx wheel is for Linux on x86-64, this is {platform.system()} on {platform.machine()}: use the Dockerfile.")
+if libc != "glibc" or [int(part) for part in libc_version.split(".")] < [2, 34]:
+    sys.exit(f"The DOLFINx wheel needs glibc 2.34 or newer, this is {libc or 'another C library'} {libc_version}: use the Dockerfile.")
+if not find_spec("ensurepip"):
+    sys.exit(f"{sys.executable} cannot make virtual environments: try apt install {python}-venv.")
+if not shutil.which(compiler[0]):
+    sys.exit(f"A C compiler ({compiler[0]}) was not found, DOLFINx compiles its forms with it: try apt install gcc libc6-dev.")
+if subprocess.run(preprocess, input=b"#include <Python.h>", capture_output=True).returncode:
+    sys.exit(f"{compiler[0]} cannot include Python.h of {sys.executable}: try apt install {python}-dev libc6-dev.")
+endef
+export check_machine
+
+# The last line of the recipe writes the mark of a complete environment. Without the mark it is made anew, so an
+# interrupted installation never stays; when only pyproject.toml is newer, it is brought up to date.
+.venv/.complete: pyproject.toml
+	for python in $${PYTHON:-python3 python3.12 python3.13 python3.14 "$$(uv python find '>=3.12' 2>/dev/null || :)"}; do
+	  "$$python" -c 'import sys; sys.exit(sys.version_info < (3, 12))' 2>/dev/null && break
+	  python=
+	done
+	if [ -z "$$python" ]; then
+	  echo >&2 "Python 3.12 or newer is needed and was not found ($${PYTHON:-python3} is $$($${PYTHON:-python3} --version 2>/dev/null || echo absent)): get one from your system's packages, with pyenv install 3.12 or with uv python install 3.12, or name one with make PYTHON=/path/to/python."
+	  exit 1
+	fi
+	"$$python" -c "$$check_machine"
+	if [ -e $@ ]; then rm $@; else rm -rf .venv; "$$python" -m venv .venv; fi
+	echo "Installing DOLFINx and everything else from PyPI into .venv, which takes a few minutes the first time ..."
+	.venv/bin/python -m pip install --quiet --quiet --disable-pip-version-check --editable '.[dolfinx,dev]'
+	touch $@

@@ -1,0 +1,31 @@
+"""The one file that knows DOLFINx: how to get it, and what differs between its versions.
+
+Raises:
+    ImportError: On import, where DOLFINx with a real-valued PETSc cannot be imported; the message tells both ways to
+        install it.
+"""
+
+import numpy as np
+
+_HOW_TO_INSTALL = """\
+cosserat_fx needs DOLFINx 0.9 or newer with a real-valued PETSc: {problem}.
+Install it in one of two ways:
+  Debian 13 or newer:    apt install python3-dolfinx python3-dolfinx-real
+  Linux x86-64, wheel:   pip install "cosserat-fx[dolfinx]"
+                         (Python 3.12 or newer, in a virtual environment; brings dolfinx-solver-real)"""
+
+try:
+    # MPI comes first: the wheel wants it loaded before petsc4py and dolfinx.
+    from mpi4py import MPI  # isort: skip
+    import dolfinx
+    import dolfinx.fem.petsc
+    from petsc4py import PETSc
+except ImportError as error:
+    raise ImportError(_HOW_TO_INSTALL.format(problem=error)) from error
+
+if tuple(int(part) for part in dolfinx.__version__.split(".")[:2]) < (0, 9):
+    raise ImportError(_HOW_TO_INSTALL.format(problem=f"this is DOLFINx {dolfinx.__version__}"))
+if np.issubdtype(PETSc.ScalarType, np.complexfloating):
+    raise ImportError(_HOW_TO_INSTALL.format(problem="this PETSc is complex-valued"))
+
+__all__ = ["MPI", "PETSc", "dolfinx"]

@@ -1,0 +1,1 @@
+"""Weak forms of the Cosserat continuum, in pure UFL."""

@@ -1,0 +1,456 @@
+import copy
+import json
+import math
+from collections.abc import Callable, Mapping
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cosserat_fx.material import Material
+from cosserat_fx.scene import MAX_FILE_SIZE, Scene, SceneError, load_scene, parse_scene
+
+MEDIUM_ROUGH = """
+title = "Plane shearing under a medium rough wall"
+[geometry]
+kind = "layer"
+height = 0.04
+cells = 80
+[material]
+constants = "paper-sand"
+d50 = 0.5e-3
+[initial]
+stress = -100e3
+void_ratio = 0.6
+[walls.bottom]
+rolling = 0.0
+[walls.top]
+rolling = 0.0125
+normal_stress = -100e3
+shear_displacement = 0.03
+[output]
+profiles_at = [0.004, 0.01, 0.02, 0.03]
+"""
+LEAST: dict[str, Any] = {
+    "geometry": {"height": 0.04, "cells": 80},
+    "initial": {"stress": -100e3, "void_ratio": 0.6},
+    "walls": {"top": {"normal_stress": -100e3, "shear_displacement": 0.03}},
+}
+FRACTIONS = {"f_u": 0.8, "f_r": 0.15, "f_s": 0.05}
+ABSENT = object()
+
+
+def changed(changes: Mapping[str, object]) -> dict[str, Any]:
+    """Returns the least scene with keys, given in dotted form, set or (ABSENT) taken away."""
+    tables = copy.deepcopy(LEAST)
+    for path, value in changes.items():
+        *parents, last = path.split(".")
+        table = tables
+        for parent in parents:
+            table = table.setdefault(parent, {})
+        table[last] = value
+        if value is ABSENT:
+            del table[last]
+    return tables
+
+
+def to_toml(table: dict[str, Any], prefix: str = "") -> str:
+    """Writes nested tables of numbers, truth values, strings and lists of them as TOML."""
+    plain = {key: value for key, value in table.items() if not isinstance(value, dict)}
+    text = "".join(f"{key} = {json.dumps(value)}\n" for key, value in plain.items())
+    for key in table.keys() - plain.keys():
+        text += f"[{prefix}{key}]\n" + to_toml(table[key], f"{prefix}{key}.")
+    return text
+
+
+@pytest.fixture
+def scene_file(tmp_path: Path) -> Path:
+    path = tmp_path / "scene.toml"
+    path.write_text(MEDIUM_ROUGH)
+    return path
+
+
+def test_the_scene_of_the_design_page_reads_as_written(scene_file: Path) -> None:
+    scene = load_scene(scene_file)
+    assert scene.title == "Plane shearing under a medium rough wall"
+    assert (scene.geometry.kind, scene.geometry.height, scene.geometry.cells) == ("layer", 0.04, 80)
+    assert scene.material == Material.named("paper-sand")
+    assert (scene.initial.stress, scene.initial.void_ratio) == (-100e3, 0.6)
+    assert (scene.walls.bottom.rolling, scene.walls.bottom.shear_displacement) == (0.0, (0.0,))
+    assert (scene.walls.top.rolling, scene.walls.top.normal_stress) == (0.0125, -100e3)
+    assert scene.legs == ((0.03, 0.0),)
+    assert scene.output.profiles_at == (0.004, 0.01, 0.02, 0.03)
+
+
+def test_what_a_scene_leaves_out_is_filled_in() -> None:
+    scene = parse_scene(LEAST)
+    assert scene.material == Material.named("paper-sand")
+    assert (scene.walls.bottom.rolling, scene.walls.top.rolling, scene.walls.top.constant_height) == (0.0, 0.0, False)
+    assert scene.effects.model_dump() == {"polar": True, "finite_strain": "auto", "spin": "macro", "void_ratio": True}
+    assert scene.stepping.model_dump() == {"first_step": None, "max_step": None, "min_step": None, "max_steps": 100000}
+    assert (scene.solver.integration_points, scene.solver.petsc) == (1, {})
+    assert (scene.output.fields, scene.output.figures) == (True, True)
+    assert scene.output.profiles_at == pytest.approx((0.003, 0.01, 0.02, 0.03), rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {
+            "title": 'a "quoted" title \\',
+            "solver.petsc": {"snes_monitor": True, "snes_max_it": 7, "pc_type": "lu", "snes_divtol": 1e30},
+        },
+        {"material": {"d50": 5e-3, "phi_c": 35}, "stepping.first_step": 1e-3, "effects.finite_strain": True},
+        {"walls.top.shear_displacement": [4e-3, -4e-3, 4e-3], "walls.top.rolling": 0.125},
+        {"walls.bottom": FRACTIONS, "walls.top.normal_stress": ABSENT, "walls.top.constant_height": True},
+        {"output.profiles_at": []},
+    ],
+)
+def test_a_scene_survives_a_round_trip_through_toml_and_json(changes: dict[str, object], tmp_path: Path) -> None:
+    scene = parse_scene(changed(changes))
+    path = tmp_path / "again.toml"
+    path.write_text(to_toml(scene.as_dict()))
+    assert load_scene(path) == scene
+    assert parse_scene(json.loads(json.dumps(scene.as_dict()))) == scene
+
+
+def test_a_scene_is_frozen() -> None:
+    with pytest.raises(ValueError, match="frozen"):
+        parse_scene(LEAST).geometry.height = 1.0
+
+
+def test_a_material_given_as_such_is_taken() -> None:
+    coarse = Material.named("paper-sand", d50=5e-3)
+    assert parse_scene({**LEAST, "material": coarse}).material is coarse
+
+
+def test_a_whole_number_is_a_number() -> None:
+    assert parse_scene(changed({"geometry.height": 1})).geometry.height == 1.0
+
+
+@pytest.mark.parametrize(
+    ("wall", "displacement_factor", "rotation_times_radius"),
+    [({}, 1.0, 0.0), ({"rolling": 0.0125}, 1.0, 0.0125), (FRACTIONS, 0.8, 0.15)],
+)
+def test_walls_move_and_turn_the_particles(
+    wall: dict[str, float], displacement_factor: float, rotation_times_radius: float
+) -> None:
+    bottom = parse_scene(changed({"walls.bottom": wall})).walls.bottom
+    assert bottom.displacement_factor == displacement_factor
+    assert bottom.rolling_rotation_factor(0.5e-3) == pytest.approx(rotation_times_radius / 0.25e-3)
+
+
+def test_both_forms_of_a_wall_law_turn_the_particles_alike() -> None:
+    by_fractions = parse_scene(changed({"walls.bottom": FRACTIONS})).walls.bottom
+    by_ratio = parse_scene(changed({"walls.bottom.rolling": FRACTIONS["f_r"] / FRACTIONS["f_u"]})).walls.bottom
+    wall_displacement, d50 = 0.02, 0.5e-3
+    particle_displacement = by_fractions.displacement_factor * wall_displacement
+    assert by_fractions.rolling_rotation_factor(d50) * wall_displacement == pytest.approx(
+        by_ratio.rolling_rotation_factor(d50) * particle_displacement
+    )
+
+
+@pytest.mark.parametrize(
+    ("top", "bottom", "legs"),
+    [
+        (0.03, ABSENT, [(0.03, 0)]),
+        ([4e-3, -4e-3, 4e-3], ABSENT, [(4e-3, 0), (-4e-3, 0), (4e-3, 0)]),
+        (ABSENT, [0.01, 0.02], [(0, 0.01), (0, 0.02)]),
+        (0.01, -0.01, [(0.01, -0.01)]),
+        ([0.01, 0.01], [0, -0.01], [(0.01, 0), (0.01, -0.01)]),
+    ],
+)
+def test_legs_pair_the_targets_of_the_walls(top: object, bottom: object, legs: list[tuple[float, float]]) -> None:
+    scene = parse_scene(changed({"walls.top.shear_displacement": top, "walls.bottom.shear_displacement": bottom}))
+    assert list(scene.legs) == legs
+    assert [leg.travel for leg in scene.legs] == [a - b for a, b in legs]
+
+
+@pytest.mark.parametrize(
+    ("changes", "profiles"),
+    [
+        ({"walls.top.shear_displacement": -0.03}, [-0.003, -0.01, -0.02, -0.03]),
+        ({"walls.bottom.shear_displacement": -0.03}, [0.006, 0.02, 0.04, 0.06]),
+        ({"walls.top.shear_displacement": [4e-3, -4e-3, 4e-3]}, [4e-3, -4e-3, 4e-3]),
+        ({"walls.bottom.shear_displacement": 0.03}, []),
+        (
+            {"walls.top.shear_displacement": [0.01, 0.02], "walls.bottom.shear_displacement": [0.0, 0.01]},
+            [0.01],
+        ),
+    ],
+)
+def test_profiles_are_spread_over_one_leg_or_taken_at_the_ends_of_several(
+    changes: dict[str, object], profiles: list[float]
+) -> None:
+    assert parse_scene(changed(changes)).output.profiles_at == pytest.approx(tuple(profiles), rel=1e-12)
+
+
+def test_profiles_are_placed_in_turn_on_a_path_that_turns_back() -> None:
+    travels = [0.0, 2e-3, 2e-3, -4e-3, 2e-3, 4e-3]
+    path = {"walls.top.shear_displacement": [4e-3, -4e-3, 4e-3], "output.profiles_at": travels}
+    stations = parse_scene(changed(path)).profile_stations
+    assert [(station.leg, station.travel) for station in stations] == list(
+        zip([0, 0, 1, 1, 2, 2], travels, strict=True)
+    )
+    assert [station.fraction for station in stations] == pytest.approx([0, 0.5, 0.25, 1, 0.75, 1])
+
+
+def test_a_profile_within_rounding_of_the_end_is_at_the_end() -> None:
+    walls = {"walls.top.shear_displacement": 0.1, "walls.bottom.shear_displacement": -0.2, "output.profiles_at": 0.3}
+    assert 0.1 + 0.2 != 0.3
+    assert parse_scene(changed(walls)).profile_stations == ((0, 1.0, 0.3),)
+
+
+BAD_INPUT: list[tuple[dict[str, object], str, str]] = [
+    # keys and tables
+    ({"geometry.hieght": 0.04}, "geometry.hieght = 0.04", "unknown key, did you mean height?"),
+    ({"geometri": {"height": 1}}, "geometri = {height = 1}", "unknown key, did you mean geometry?"),
+    ({"walls.top.shear_displacment": 1}, "walls.top.shear_displacment = 1", "did you mean shear_displacement?"),
+    ({"walls.bottom.normal_stress": -1}, "walls.bottom.normal_stress = -1", "unknown key. The keys here are rolling"),
+    ({"material.phi": 30}, "material.phi = 30", "did you mean phi_c?"),
+    ({'geometry.two\nlines "': 1}, r'geometry."two\nlines \"" = 1', "unknown key"),
+    ({"geometry.height": ABSENT}, "geometry.height is missing", "must be a finite number greater than 0 (m)"),
+    ({"initial": ABSENT}, "initial is missing", "must be a table with the keys stress, void_ratio"),
+    ({"walls": [1]}, "walls = [1]", "must be a table with the keys bottom, top"),
+    ({"material": "paper-sand"}, 'material = "paper-sand"', "must be a table"),
+    # types
+    ({"geometry.height": "3"}, 'geometry.height = "3"', "must be a finite number greater than 0 (m)"),
+    ({"geometry.height": True}, "geometry.height = true", "must be a finite number"),
+    ({"geometry.height": [0.04]}, "geometry.height = [0.04]", "must be a finite number"),
+    ({"geometry.height": date(2020, 1, 2)}, "geometry.height = 2020-01-02", "must be a finite number"),
+    ({"geometry.height": math.nan}, "geometry.height = nan", "must be a finite number"),
+    ({"initial.stress": -math.inf}, "initial.stress = -inf", "must be a finite number"),
+    ({"geometry.height": 10**400}, "geometry.height = 0x", "must be a finite number"),
+    ({"geometry.cells": 80.0}, "geometry.cells = 80.0", "must be a whole number"),
+    ({"geometry.cells": True}, "geometry.cells = true", "must be a whole number"),
+    ({"effects.polar": 1}, "effects.polar = 1", "must be true or false"),
+    ({"title": 3}, "title = 3", "must be a string"),
+    ({"solver.integration_points": True}, "solver.integration_points = true", "must be a whole number"),
+    ({"solver.petsc": 3}, "solver.petsc = 3", "must be a table"),
+    ({"solver.petsc.snes_rtol": [1]}, "solver.petsc.snes_rtol = [1]", "must be a string, true, false, a finite number"),
+    (
+        {"solver.petsc.snes_rtol": math.nan},
+        "solver.petsc.snes_rtol = nan",
+        "must be a string, true, false, a finite number",
+    ),
+    ({"solver.petsc.snes_max_it": 2**63}, f"solver.petsc.snes_max_it = {2**63}", "a 64-bit integer"),
+    ({"walls.top.shear_displacement": "far"}, 'walls.top.shear_displacement = "far"', "a finite number or a list"),
+    ({"walls.top.shear_displacement": [1, "far"]}, 'walls.top.shear_displacement[1] = "far"', "or a list of 1 to"),
+    ({"walls.top.shear_displacement": ["far"]}, 'walls.top.shear_displacement[0] = "far"', "or a list of 1 to"),
+    # ranges
+    ({"geometry.kind": "box"}, 'geometry.kind = "box"', 'must be "layer" (the only kind so far)'),
+    ({"geometry.height": -1}, "geometry.height = -1", "greater than 0 (m)"),
+    ({"geometry.cells": 0}, "geometry.cells = 0", "at least 1 and at most 10000000"),
+    ({"geometry.cells": 10_000_001}, "geometry.cells = 10000001", "at least 1 and at most 10000000"),
+    ({"initial.stress": 0}, "initial.stress = 0", "less than 0 (Pa, tension positive)"),
+    ({"initial.stress": 100e3}, "initial.stress = 100000.0", "less than 0 (Pa, tension positive)"),
+    ({"initial.void_ratio": 0.4727}, "initial.void_ratio = 0.4727", "greater than e_d = 0.472797 and less than e_i"),
+    ({"initial.void_ratio": 1.1125}, "initial.void_ratio = 1.1125", "less than e_i = 1.11246"),
+    ({"solver.integration_points": 3}, "solver.integration_points = 3", "at least 1 and at most 2"),
+    ({"solver.newton_tolerance": 0}, "solver.newton_tolerance = 0", "greater than 0 and less than 1"),
+    ({"solver.max_iterations": 0}, "solver.max_iterations = 0", "at least 1"),
+    ({"solver.local_tolerance": 1}, "solver.local_tolerance = 1", "greater than 0 and less than 1"),
+    ({"stepping.max_steps": 0}, "stepping.max_steps = 0", "at least 1"),
+    ({"stepping.first_step": 0}, "stepping.first_step = 0", "greater than 0 (m)"),
+    ({"stepping": {"min_step": 1e-3, "max_step": 1e-4}}, "stepping.max_step = 0.0001", "stepping.min_step = 0.001"),
+    ({"stepping": {"first_step": 1e-3, "max_step": 1e-4}}, "stepping.max_step = 0.0001", "stepping.first_step = 0.001"),
+    ({"stepping": {"first_step": 1e-5, "min_step": 1e-4}}, "stepping.first_step = 1e-05", "stepping.min_step = 0.0001"),
+    # material
+    ({"material.constants": "papersand"}, 'material.constants = "papersand"', 'one of "paper-sand" (did you mean'),
+    ({"material.constants": [1]}, "material.constants = [1]", 'must be one of "paper-sand"'),
+    ({"material.e_d0": 0.9}, "material.e_d0 = 0.9", "less than e_c0 = 0.82"),
+    ({"material.alpha": 2}, "material.alpha = 2", "bracket h_i = -0.494176 is not positive"),
+    ({"material.n": "0.4"}, 'material.n = "0.4"', "must be a finite number"),
+    # walls
+    ({"walls.top.rolling": -1}, "walls.top.rolling = -1", "at least 0"),
+    ({"walls.bottom": {**FRACTIONS, "f_s": 0.1}}, "walls.bottom.f_u = 0.8", "f_u + f_r + f_s = 1, but the sum is 1.05"),
+    ({"walls.bottom": {"f_u": 0, "f_r": 0.5, "f_s": 0.5}}, "walls.bottom.f_u = 0", "greater than 0 and at most 1"),
+    ({"walls.bottom": {"f_u": 0.5, "f_s": 0.5}}, "walls.bottom.f_r is missing", "the other two of f_u, f_r and f_s"),
+    ({"walls.bottom": {**FRACTIONS, "rolling": 0.1}}, "walls.bottom.rolling = 0.1", "left out"),
+    (
+        {"walls.top.constant_height": True},
+        "walls.top.normal_stress = -100000.0",
+        "left out where constant_height = true",
+    ),
+    ({"walls.top.normal_stress": ABSENT}, "walls.top.normal_stress is missing", "unless constant_height = true"),
+    ({"walls.top.normal_stress": 0}, "walls.top.normal_stress = 0", "less than 0 (Pa, tension positive)"),
+    # path
+    ({"walls.top.shear_displacement": ABSENT}, "walls.top.shear_displacement = [0.0]", "no wall would move"),
+    ({"walls.top.shear_displacement": []}, "walls.top.shear_displacement = []", "a list of 1 to 100000"),
+    (
+        {"walls.top.shear_displacement": [0.1] * 100_001},
+        "walls.top.shear_displacement = [0.1, ",
+        "a list of 1 to 100000",
+    ),
+    ({"walls.top.shear_displacement": [1, 1]}, "walls.top.shear_displacement[1] = 1.0", "must move a wall"),
+    ({"walls.top.shear_displacement": [0, 1]}, "walls.top.shear_displacement[0] = 0.0", "must move a wall"),
+    (
+        {"walls.bottom.shear_displacement": [1, 2]},
+        "walls.top.shear_displacement = [0.03]",
+        "as many targets as walls.b",
+    ),
+    # effects
+    ({"effects.spin": "marco"}, 'effects.spin = "marco"', 'must be "macro", "cosserat" or "none"'),
+    ({"effects.finite_strain": 1}, "effects.finite_strain = 1", 'must be "auto" or true or false'),
+    ({"effects": {"spin": "cosserat", "polar": False}}, 'effects.spin = "cosserat"', "where effects.polar = false"),
+    ({"effects.polar": False, "walls.top.rolling": 0.1}, "walls.top.rolling = 0.1", "no rotation to prescribe"),
+    ({"effects.polar": False, "walls.bottom": FRACTIONS}, "walls.bottom.f_r = 0.15", "no rotation to prescribe"),
+    # output
+    (
+        {"output.profiles_at": [0.01, 0.031]},
+        "output.profiles_at[1] = 0.031",
+        "relative wall travel (top minus bottom), 0 to",
+    ),
+    ({"output.profiles_at": [-0.01]}, "output.profiles_at[0] = -0.01", "0 to 0.03 m"),
+    ({"output.profiles_at": [0.02, 0.01]}, "output.profiles_at[1] = 0.01", "in the order of the path"),
+    ({"output.profiles_at": [0.02, 0.02]}, "output.profiles_at[1] = 0.02", "once each"),
+]
+
+
+@pytest.mark.parametrize(
+    ("changes", "subject", "allowed"), BAD_INPUT, ids=[subject[:50] for _, subject, _ in BAD_INPUT]
+)
+def test_bad_input_is_refused_in_one_line(changes: dict[str, object], subject: str, allowed: str) -> None:
+    with pytest.raises(SceneError) as caught:
+        parse_scene(changed(changes))
+    (line,) = str(caught.value).splitlines()
+    assert line.startswith(subject)
+    assert allowed in line
+    assert "pydantic" not in line
+    assert "http" not in line
+
+
+def test_each_wrong_key_has_its_line() -> None:
+    with pytest.raises(SceneError) as caught:
+        parse_scene(changed({"geometry.height": -1, "geometry.cells": 0, "effects.spin": 3}))
+    keys = [line.split(" = ")[0] for line in str(caught.value).splitlines()]
+    assert keys == ["geometry.height", "geometry.cells", "effects.spin"]
+
+
+def test_many_wrong_keys_are_cut_to_a_readable_number() -> None:
+    with pytest.raises(SceneError) as caught:
+        parse_scene(changed({"walls.top.shear_displacement": ["far"] * 1000}))
+    lines = str(caught.value).splitlines()
+    assert len(lines) == 21
+    assert lines[-1] == "... and 980 more"
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"[geometry]\nheight = \n", r"not valid TOML: Invalid value \(at line 2, column 10\)"),
+        (b"a = 1\na = 2\n", r"not valid TOML: .*\(at line 2"),
+        (b'title = "ok"\n# \xff\n', "must be UTF-8 text, but line 2 is not"),
+        (b"a = " + b"[" * 5000, "not valid TOML: nested too deeply"),
+        (b"a = " + b"9" * 5000, "not valid TOML: Exceeds the limit"),
+        (b"#" * (MAX_FILE_SIZE + 1), "must not be larger than 10000000 bytes"),
+        (b"", "geometry is missing: must be a table"),
+    ],
+    ids=["syntax", "twice", "encoding", "depth", "digits", "size", "empty"],
+)
+def test_a_file_that_is_no_scene_is_refused(content: bytes, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "bad.toml"
+    path.write_bytes(content)
+    with pytest.raises(SceneError, match=message):
+        load_scene(path)
+
+
+def test_a_file_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match=r"nowhere\.toml: cannot be read as a scene file: No such file or directory"):
+        load_scene(tmp_path / "nowhere.toml")
+    with pytest.raises(SceneError, match="cannot be read as a scene file: Is a directory"):
+        load_scene(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("override", "value", "read"),
+    [
+        ("geometry.cells=640", 640, lambda scene: scene.geometry.cells),
+        (" geometry.height = 1e-2 ", 0.01, lambda scene: scene.geometry.height),
+        ("material.constants=paper-sand", Material.named("paper-sand"), lambda scene: scene.material),
+        ("material.phi_c=35", 35.0, lambda scene: scene.material.phi_c),
+        ("walls.bottom.rolling=0.1", 0.1, lambda scene: scene.walls.bottom.rolling),
+        ("walls.top.shear_displacement=[0.01, 0.03]", (0.01, 0.03), lambda s: s.walls.top.shear_displacement),
+        ("effects.spin=none", "none", lambda scene: scene.effects.spin),
+        ("effects.finite_strain=false", False, lambda scene: scene.effects.finite_strain),
+        ('title="3"', "3", lambda scene: scene.title),
+        ("title=a = b, said [c", "a = b, said [c", lambda scene: scene.title),
+        ("title=__import__('os').getcwd()", "__import__('os').getcwd()", lambda scene: scene.title),
+        ("title=1\ngeometry.cells = 3", "1\ngeometry.cells = 3", lambda scene: scene.title),
+        ("solver.petsc.snes_max_it=7", {"snes_max_it": 7}, lambda scene: scene.solver.petsc),
+        ("output={profiles_at = [0.01]}", (0.01,), lambda scene: scene.output.profiles_at),
+    ],
+)
+def test_an_override_sets_one_key(
+    override: str, value: object, read: Callable[[Scene], object], scene_file: Path
+) -> None:
+    assert read(load_scene(scene_file, [override])) == value
+
+
+def test_the_last_of_several_overrides_wins(scene_file: Path) -> None:
+    assert load_scene(scene_file, ["geometry.cells=1", "geometry.cells=2"]).geometry.cells == 2
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("geometry.cells", '"geometry.cells": an override must read key.path=value'),
+        ("=3", '"=3": an override must read'),
+        ("geometry..cells=3", "an override must read"),
+        ("title.short=3", 'title.short = "3": cannot be set, as title is not a table'),
+        ("geometry.cell=3", "geometry.cell = 3: unknown key, did you mean cells?"),
+        ("geometry.cells=many", 'geometry.cells = "many": must be a whole number'),
+        ("geometry.height=", 'geometry.height = "": must be a finite number'),
+        ("title=\udcff", r'title = "\udcff": must be UTF-8 text'),
+    ],
+)
+def test_a_bad_override_is_refused(override: str, message: str, scene_file: Path) -> None:
+    with pytest.raises(SceneError) as caught:
+        load_scene(scene_file, [override])
+    assert message in str(caught.value)
+
+
+def all_paths(table: dict[str, Any], above: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
+    """Returns the path of every table and key below a table."""
+    paths = []
+    for key, value in table.items():
+        paths.append((*above, key))
+        if isinstance(value, dict):
+            paths += all_paths(value, (*above, key))
+    return paths
+
+
+COMPLETE = parse_scene(changed({"stepping": {"min_step": 1e-6, "first_step": 1e-5, "max_step": 1e-3}})).as_dict()
+PATHS = all_paths(COMPLETE)
+NUMBERS = st.integers() | st.floats() | st.sampled_from([0, 1, -1, 10**400, 1e308, -1e308, 5e-324])
+SCALARS = (
+    st.none() | st.booleans() | NUMBERS | st.text() | st.dates() | st.sampled_from(["macro", "none", "paper-sand"])
+)
+KEYS = st.sampled_from([path[-1] for path in PATHS]) | st.text()
+JUNK = st.recursive(SCALARS, lambda inner: st.lists(inner, max_size=4) | st.dictionaries(KEYS, inner, max_size=4))
+
+
+@settings(max_examples=300, deadline=None)
+@given(mutations=st.lists(st.tuples(st.sampled_from(PATHS), KEYS | st.just(""), JUNK), min_size=1, max_size=3))
+def test_whatever_comes_in_a_scene_or_a_clear_refusal_comes_out(
+    mutations: list[tuple[tuple[str, ...], str, object]],
+) -> None:
+    tables: dict[str, Any] = copy.deepcopy(COMPLETE)
+    for path, extra, junk in mutations:
+        table = tables
+        for parent in path[:-1]:
+            table = table[parent] if isinstance(table.get(parent), dict) else table
+        table[extra or path[-1]] = junk
+    refusal = "none: the scene is valid"
+    try:
+        scene = parse_scene(tables)
+    except SceneError as error:
+        refusal = str(error)
+    else:
+        assert parse_scene(json.loads(json.dumps(scene.as_dict()))) == scene
+    assert "pydantic" not in refusal
+    assert all(": " in line for line in refusal.splitlines() if not line.startswith("... and "))
