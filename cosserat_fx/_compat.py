@@ -6,6 +6,9 @@ Raises:
 """
 
 import numpy as np
+import numpy.typing as npt
+
+from cosserat_fx.typing import Array
 
 _HOW_TO_INSTALL = """\
 cosserat_fx needs DOLFINx 0.9 or newer with a real-valued PETSc: {problem}.
@@ -28,4 +31,21 @@ if tuple(int(part) for part in dolfinx.__version__.split(".")[:2]) < (0, 9):
 if np.issubdtype(PETSc.ScalarType, np.complexfloating):
     raise ImportError(_HOW_TO_INSTALL.format(problem="this PETSc is complex-valued"))
 
-__all__ = ["MPI", "PETSc", "dolfinx"]
+__all__ = ["MPI", "PETSc", "dolfinx", "evaluate"]
+
+_FLAT_EXPRESSIONS = tuple(int(part) for part in dolfinx.__version__.split(".")[:2]) < (0, 10)
+
+
+def evaluate(
+    expression: dolfinx.fem.Expression, mesh: dolfinx.mesh.Mesh, cells: npt.NDArray[np.int32], values: Array
+) -> None:
+    """Evaluates an expression at its points in each cell, in place.
+
+    Args:
+        expression: a vector-valued expression.
+        mesh: its mesh.
+        cells: the cells.
+        values: (cells * points, size), contiguous, overwritten.
+    """
+    shape = (len(cells), -1) if _FLAT_EXPRESSIONS else (len(cells), expression.X().shape[0], values.shape[-1])
+    expression.eval(mesh, cells, values.reshape(shape))

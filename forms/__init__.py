@@ -1,1 +1,4 @@
-"""Weak forms of the Cosserat continuum, in pure UFL."""
+"""Weak forms of the Cosserat continuum: UFL and nothing else.
+
+``kinematics`` says what strains, ``balance`` what resists, ``loads`` and ``walls`` what drives.
+"""

@@ -1,0 +1,173 @@
+"""Equilibrium of one step by PETSc's SNES: Newton's method with a backtracking line search.
+
+Two things are special to this problem. The number of local substeps of each point may grow during the first
+iterations and is frozen after them, or the residual would jump; a converged solution is checked with it set free once
+more. And a state that the law cannot reach gives an infinite residual, from which the line search backs off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from cosserat_fx._compat import PETSc
+from cosserat_fx.problem import Failure, Problem
+
+PetscOption = str | int | float | bool
+
+_DEFAULTS: dict[str, PetscOption] = {
+    "snes_type": "newtonls",
+    "snes_linesearch_type": "bt",
+    "ksp_type": "preonly",
+    "pc_type": "lu",
+    "pc_factor_mat_solver_type": "mumps",
+}
+_ADAPTING_ITERATIONS = 2
+_RECHECKS = 3
+_PREFIX = "cosserat_"
+
+_REASONS = {
+    value: name.lower().replace("_", " ")
+    for name, value in vars(PETSc.SNES.ConvergedReason).items()
+    if isinstance(value, int) and value < 0
+}
+
+
+@dataclass(frozen=True)
+class Solution:
+    """How the iteration of one step ended.
+
+    Attributes:
+        converged: whether the step is in equilibrium.
+        iterations: Newton iterations, linear predictions included.
+        reason: why not, where it is not.
+        residual: norm of the out-of-balance forces relative to that of the internal forces.
+    """
+
+    converged: bool
+    iterations: int
+    reason: str
+    residual: float
+
+
+class NewtonSolver:
+    """SNES on a :class:`~cosserat_fx.problem.Problem`.
+
+    Attributes:
+        snes: the PETSc object, for users who want to set more than options reach. Options have the prefix
+            ``cosserat_`` in PETSc's database, where they override the defaults.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        *,
+        tolerance: float = 1e-9,
+        max_iterations: int = 25,
+        options: Mapping[str, PetscOption] | None = None,
+    ) -> None:
+        """Create the solver.
+
+        Args:
+            problem: what to solve.
+            tolerance: of the out-of-balance forces, relative to the internal forces.
+            max_iterations: Newton iterations of one step.
+            options: PETSc options without prefix, such as ``{"snes_monitor": ""}``.
+        """
+        self._problem = problem
+        self._tolerance = tolerance
+        self._failure: Failure | None = None
+        self._frozen = False
+        self._evaluated = problem.vector.duplicate()
+        self._x = problem.vector.duplicate()
+
+        database = PETSc.Options(_PREFIX)
+        for key, value in {**_DEFAULTS, **(options or {})}.items():
+            if options and key in options or not database.hasName(key):
+                database.setValue(key, value)
+        self.snes = PETSc.SNES().create(problem.comm)
+        self.snes.setOptionsPrefix(_PREFIX)
+        self.snes.setFunction(self._residual, problem.vector)
+        self.snes.setJacobian(self._jacobian, problem.matrix)
+        self.snes.setTolerances(rtol=0.0, stol=0.0, max_it=max_iterations)
+        self.snes.setFromOptions()
+
+    def solve(self) -> Solution:
+        """Find equilibrium from the problem's unknown, which holds the prescribed values already."""
+        problem = self._problem
+        for name, count in (("substeps", 1),):
+            getattr(problem.state, name)[:] = count
+        scale = problem.force_scale()
+        self.snes.setTolerances(atol=self._tolerance * scale)
+        own = self._x.getLocalSize()
+        self._x.array_w[:] = problem.unknown.x.array[:own]
+        self._frozen, iterations = False, 0
+        for _ in range(_RECHECKS):
+            self._failure = None
+            with problem.stopwatch("Newton"):
+                self.snes.solve(None, self._x)
+            iterations += self.snes.getIterationNumber()
+            reason = self.snes.getConvergedReason()
+            residual = self.snes.getFunctionNorm() / scale
+            if reason < 0:
+                cause = str(self._failure) if self._failure else _REASONS[reason]
+                return Solution(False, iterations, cause, residual)
+            problem.set_unknown(self._x)
+            before = problem.state.substeps.copy()
+            problem.update(adapt=True)
+            changed = bool(np.any(before != problem.state.substeps))
+            if not problem.comm.allreduce(changed):
+                return Solution(True, iterations, "converged", residual)
+            self._frozen = True
+        return Solution(False, iterations, "the number of local substeps did not settle", residual)
+
+    def predict(self) -> bool:
+        """Take a linear step to the prescribed values with the tangent at the unknown at hand.
+
+        From the committed fields this is the answer of the law's linear part, a first guess where there is no
+        previous increment to follow.
+
+        Returns:
+            Whether the linear system could be solved.
+        """
+        problem = self._problem
+        if problem.update(adapt=True):
+            return False
+        b = problem.vector
+        problem.assemble_prediction(b)
+        problem.assemble_jacobian(problem.matrix)
+        ksp = self.snes.getKSP()
+        ksp.setOperators(problem.matrix)
+        with problem.stopwatch("linear solve"):
+            ksp.solve(b, self._x)
+        if ksp.getConvergedReason() < 0:
+            return False
+        own = self._x.getLocalSize()
+        problem.unknown.x.array[:own] += self._x.array_r
+        problem.unknown.x.scatter_forward()
+        problem.impose()
+        return True
+
+    def _residual(self, snes: PETSc.SNES, x: PETSc.Vec, b: PETSc.Vec) -> None:
+        """Residual callback; a state that cannot be reached has an infinite one."""
+        adapt = not self._frozen and snes.getIterationNumber() < _ADAPTING_ITERATIONS
+        if self._evaluate(x, adapt=adapt):
+            self._problem.assemble_residual(b)
+        else:
+            b.set(np.inf)
+
+    def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, a: PETSc.Mat, p: PETSc.Mat) -> None:
+        """Jacobian callback; the tangent of the last residual serves where the point is the same."""
+        if not self._evaluated.equal(x):
+            self._evaluate(x, adapt=False)
+        self._problem.assemble_jacobian(p)
+
+    def _evaluate(self, x: PETSc.Vec, *, adapt: bool) -> bool:
+        """Update the trial state at a point; False, on every rank, where the law cannot."""
+        self._problem.set_unknown(x)
+        failure = self._problem.update(adapt=adapt)
+        self._failure = failure or (self._failure if self._failure else None)
+        x.copy(self._evaluated)
+        return failure is None

@@ -1,0 +1,169 @@
+"""The constitutive state at the quadrature points: committed and trial.
+
+The trial stresses, couple stresses and their tangent live in quadrature functions that the weak forms read; the kernel
+writes straight into the arrays of these functions. The committed state changes only by :meth:`QuadratureState.commit`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import basix
+import basix.ufl
+import numpy as np
+import ufl
+
+from cosserat_fx._compat import MPI, dolfinx
+from cosserat_fx.layout import Layout
+from cosserat_fx.material import Material
+from cosserat_fx.typing import Array
+from cosserat_fx.update import build_update, compile_update
+
+MAX_SUBSTEPS = 1000
+
+
+class Outcome(NamedTuple):
+    """The gravest :class:`~cosserat_fx.hypoplasticity.Status` of an update and this rank's row of it (-1: none)."""
+
+    code: int
+    row: int
+
+
+class QuadratureState:
+    """Stress, couple stress and void ratio at every quadrature point of this rank.
+
+    Rows of increments and coordinates run over the rank's own cells and their points; ``points`` maps them to the
+    rows of the state arrays, which follow the quadrature functions and hold ghost points too.
+
+    Attributes:
+        layout: components and their order.
+        forces: quadrature function of stresses (Pa) and couple stresses (N/m), trial.
+        tangent: quadrature function of the conjugate forces' derivatives, trial.
+        forces_n: (N, n) committed stresses and couple stresses.
+        e, e_n: (N,) trial and committed void ratio.
+        status: (N,) code of the last update of each point.
+        substeps: (N,) number of local substeps of each point.
+        points: (m,) row of each of this rank's own points.
+        coordinates: (m, gdim) reference coordinates of these points (m).
+    """
+
+    def __init__(
+        self,
+        mesh: dolfinx.mesh.Mesh,
+        layout: Layout,
+        material: Material,
+        *,
+        degree: int,
+        spin: bool,
+        void_ratio: bool,
+        tolerance: float,
+    ) -> None:
+        """Make the fields of a mesh.
+
+        Args:
+            mesh: the mesh.
+            layout: components of the problem.
+            material: the constants of the law.
+            degree: of the quadrature rule.
+            spin: whether the objective terms are integrated.
+            void_ratio: whether the void ratio evolves.
+            tolerance: of the local error estimate, relative to the trace of the stress.
+        """
+        self.layout = layout
+        self.tolerance = tolerance
+        self._constants = material.kernel_parameters()
+        self._update = build_update(layout, spin=spin, void_ratio=void_ratio)
+        _compile_in_turn(mesh.comm, lambda: compile_update(self._update, layout, self._constants))
+
+        cell = mesh.basix_cell()
+        n, driven = len(layout.forces), len(layout.strain_slots)
+        self.forces = _quadrature_function(mesh, degree, (n,), "forces")
+        self.tangent = _quadrature_function(mesh, degree, (driven, layout.n_inputs), "tangent")
+        self._forces = self.forces.x.array.reshape(-1, n)
+        self._tangent = self.tangent.x.array.reshape(-1, driven, layout.n_inputs)
+        size = len(self._forces)
+        self.forces_n = np.zeros((size, n))
+        self.e = np.zeros(size)
+        self.e_n = np.zeros(size)
+        self.substeps = np.ones(size, dtype=np.int32)
+        self.status = np.zeros(size, dtype=np.uint8)
+        self._error = np.zeros(size)
+
+        self.rule_points = basix.make_quadrature(cell, degree)[0]
+        self.cells = np.arange(mesh.topology.index_map(mesh.topology.dim).size_local, dtype=np.int32)
+        self.points = np.ascontiguousarray(self.forces.function_space.dofmap.list[self.cells].reshape(-1))
+        position = dolfinx.fem.Expression(ufl.SpatialCoordinate(mesh), self.rule_points)
+        self.coordinates = position.eval(mesh, self.cells).reshape(len(self.points), -1)
+
+    def initialise(self, stress: float, void_ratio: float) -> None:
+        """Set a uniform isotropic state, committed and trial.
+
+        Args:
+            stress: of the normal components (Pa, tension positive).
+            void_ratio: the void ratio.
+        """
+        normal = [k for k, (i, j) in enumerate(self.layout.stress) if i == j]
+        self.forces_n[:] = 0.0
+        self.forces_n[:, normal] = stress
+        self.e_n[:] = void_ratio
+        self.roll_back()
+
+    def update(self, increments: Array, *, adapt: bool) -> Outcome:
+        """Integrate the law from the committed state over an increment into the trial state and tangent.
+
+        Args:
+            increments: (m, inputs) strain, curvature (1/m) and spin increments of this rank's own points.
+            adapt: whether the number of substeps may grow where the error estimate asks for it.
+        """
+        code, row = self._update(
+            increments,
+            self.points,
+            self.forces_n,
+            self.e_n,
+            self._forces,
+            self.e,
+            self._tangent,
+            self.substeps,
+            self.status,
+            self._error,
+            self._constants,
+            self.tolerance,
+            MAX_SUBSTEPS,
+            adapt,
+            True,
+        )
+        return Outcome(code, row)
+
+    def commit(self) -> None:
+        """Make the trial state the committed one."""
+        self.forces_n[:] = self._forces
+        self.e_n[:] = self.e
+
+    def roll_back(self) -> None:
+        """Make the trial state what the committed one is."""
+        self._forces[:] = self.forces_n
+        self.e[:] = self.e_n
+
+    @property
+    def bytes_per_point(self) -> int:
+        """Memory of one point's state, tangent and bookkeeping (bytes)."""
+        arrays = (self._forces, self._tangent, self.forces_n, self.e, self.e_n, self.substeps, self.status, self._error)
+        return sum(a.nbytes // max(len(a), 1) for a in arrays)
+
+
+def _quadrature_function(
+    mesh: dolfinx.mesh.Mesh, degree: int, shape: tuple[int, ...], name: str
+) -> dolfinx.fem.Function:
+    """A function with one tensor of the given shape at every quadrature point."""
+    element = basix.ufl.quadrature_element(mesh.basix_cell(), value_shape=shape, degree=degree)
+    return dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, element), name=name)
+
+
+def _compile_in_turn(comm: MPI.Intracomm, compile_kernel: Callable[[], None]) -> None:
+    """Compile on the first rank, then load on the others, so that they do not race for the cache on disk."""
+    if comm.rank == 0:
+        compile_kernel()
+    comm.barrier()
+    if comm.rank != 0:
+        compile_kernel()
