@@ -246,6 +246,11 @@ class Problem:
         places = [p for p in self.comm.allgather(place) if p is not None]
         return Failure(Status(gravest), places[0])
 
+    def strain_increments(self) -> Array:
+        """Strain increments of the last update, and curvature increments times d50: (m, driven), dimensionless."""
+        lengths = [1.0] * len(self.layout.strain) + [self.material.d50] * len(self.layout.curvature)
+        return self._increments[:, : len(lengths)] * lengths
+
     def assemble_residual(self, b: PETSc.Vec) -> None:
         """Assemble the out-of-balance forces; prescribed entries hold unknown minus prescribed value."""
         with self.stopwatch("residual assembly"):

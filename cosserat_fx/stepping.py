@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from cosserat_fx.newton import NewtonSolver
+from cosserat_fx._compat import MPI
+from cosserat_fx.newton import NewtonSolver, Solution
 from cosserat_fx.problem import Problem
+from cosserat_fx.typing import Array
 
 
 @dataclass(frozen=True)
@@ -19,12 +22,18 @@ class StepControl:
         first: the first step, and the one after every corner of the path.
         largest: no step is larger.
         smallest: a step that fails at this size ends the run.
+        tolerance: aimed change of the strain rate over a step, relative to the strain rate.
+        strain: aimed largest strain increment of any point.
+        growth: largest factor from one step to the next.
         max_steps: accepted steps after which the run ends.
     """
 
     first: float
     largest: float
     smallest: float
+    tolerance: float = 0.1
+    strain: float = 0.3
+    growth: float = 1.5
     max_steps: int = 100_000
 
 
@@ -52,14 +61,25 @@ class StepFailure(RuntimeError):
 
 
 class Stepper:
-    """Walks a problem along its path."""
+    """Walks a problem along its path.
 
-    GROWTH = 1.5
-    EASY_ITERATIONS = 5
-    HARD_ITERATIONS = 9
+    The step size follows an estimate of the temporal error: strains are integrated as if they grew in proportion within a
+    step, so what matters is how much their rate changes from one step to the next,
+
+        r = |d_eps - (h/h_old) d_eps_old| / |d_eps|     (root mean square over the quadrature points),
+
+    which is proportional to the step size. Newton iterations have the second say.
+    """
+
+    HARD_ITERATIONS = 8
 
     def __init__(
-        self, problem: Problem, solver: NewtonSolver, corners: Sequence[float], stations: Sequence[float], control: StepControl
+        self,
+        problem: Problem,
+        solver: NewtonSolver,
+        corners: Sequence[float],
+        stations: Sequence[float],
+        control: StepControl,
     ) -> None:
         """Prepare the walk.
 
@@ -73,6 +93,7 @@ class Stepper:
         self.problem, self.solver, self.control = problem, solver, control
         self._corners = list(corners)
         self._stops = sorted({*corners[1:], *(s for s in stations if s > corners[0])})
+        self._last: _Increment | None = None
 
     def __iter__(self) -> Iterator[Step]:
         """Make the steps one by one; each is committed when it is handed out.
@@ -80,58 +101,74 @@ class Stepper:
         Raises:
             StepFailure: the smallest step failed.
         """
-        travel, size = self._corners[0], self.control.first
-        increment, made = None, 0.0
-        number = 0
+        travel, size, number = self._corners[0], self.control.first, 0
         for stop in self._stops:
             while travel < stop:
-                target, wish = self._next(travel, stop, size)
+                step, wish = self._step_from(travel, stop, size), size
                 iterations = cutbacks = 0
-                while True:
-                    step = target - travel
-                    solution = self._attempt(target, increment, step / made if made else 0.0)
+                while not (solution := self._attempt(travel, step)).converged:
                     iterations += solution.iterations
-                    if solution.converged:
-                        break
                     self.problem.roll_back()
                     if step <= self.control.smallest:
                         raise StepFailure(
                             f"the step from {travel:.9g} m failed at the smallest size, {step:.3g} m: {solution.reason}"
                         )
                     cutbacks += 1
-                    wish = max(step / 2, self.control.smallest)
-                    target = travel + wish
-                increment = self.problem.unknown.x.array - self.problem.committed.x.array
-                made, travel = step, target
+                    step = wish = max(step / 2, self.control.smallest)
+                limit = self._remember(step)
+                travel = stop if travel + step >= stop * (1 - 1e-12) else travel + step
                 self.problem.commit()
                 number += 1
-                yield Step(number, travel, step, iterations, cutbacks)
-                size = self._resize(wish, step, solution.iterations, cutbacks)
+                yield Step(number, travel, step, iterations + solution.iterations, cutbacks)
+                size = self._resize(wish, step, solution.iterations, cutbacks, limit)
                 if travel in self._corners:
-                    increment, made, size = None, 0.0, self.control.first
+                    self._last, size = None, self.control.first
 
-    def _next(self, travel: float, stop: float, size: float) -> tuple[float, float]:
-        """Where to step: at most to the stop, and not so close to it that a crumb is left over."""
+    def _step_from(self, travel: float, stop: float, size: float) -> float:
+        """The step to make: exactly to the stop where it is near, and never leaving a crumb before it."""
         left = stop - travel
-        count = int(np.ceil(left / size * (1 - 1e-9)))
-        if count == 1:
-            return stop, size
-        return (travel + left / 2 if count == 2 else travel + size), size
+        if left <= size * (1 + 1e-9):
+            return left
+        return left / 2 if left < 2 * size else size
 
-    def _attempt(self, target, increment, ratio):
+    def _attempt(self, travel: float, step: float) -> Solution:
         """Predict and solve one step."""
         problem = self.problem
-        problem.apply(target)
-        if increment is not None:
-            problem.unknown.x.array[:] = problem.committed.x.array + ratio * increment
-            problem.impose()
-        else:
+        problem.apply(travel + step)
+        if self._last is None:
             self.solver.predict()
+        else:
+            problem.unknown.x.array[:] += step / self._last.size * self._last.unknown
+            problem.impose()
         return self.solver.solve()
 
-    def _resize(self, wish: float, step: float, iterations: int, cutbacks: int) -> float:
+    def _remember(self, step: float) -> float:
+        """Keep the increment just found for the next prediction; return by which factor the step may change."""
+        problem, control, last = self.problem, self.control, self._last
+        strains = problem.strain_increments()
+        self._last = _Increment(step, problem.unknown.x.array - problem.committed.x.array, strains)
+        largest = problem.comm.allreduce(np.max(np.linalg.norm(strains, axis=1), initial=0.0), op=MPI.MAX)
+        factor = min(control.growth, control.strain / largest)
+        if last is None:
+            return factor
+        change = problem.comm.allreduce(np.sum((strains - step / last.size * last.strains) ** 2))
+        total = problem.comm.allreduce(np.sum(strains**2))
+        return min(factor, control.tolerance * float(np.sqrt(total / change)))
+
+    def _resize(self, wish: float, step: float, iterations: int, cutbacks: int, factor: float) -> float:
         """The size to wish for next."""
-        if cutbacks or iterations > self.HARD_ITERATIONS:
+        control = self.control
+        if cutbacks:
             return step
-        growth = self.GROWTH if iterations <= self.EASY_ITERATIONS else 1.0
-        return min(self.control.largest, max(wish, step) * growth)
+        if iterations > self.HARD_ITERATIONS:
+            factor = min(factor, 0.7)
+        base = step if factor < 1.0 else max(wish, step)
+        return float(np.clip(base * max(factor, 0.5), control.smallest, control.largest))
+
+
+class _Increment(NamedTuple):
+    """An accepted increment: travel (m), nodal unknowns, strains at the quadrature points."""
+
+    size: float
+    unknown: Array
+    strains: Array
