@@ -54,6 +54,11 @@ class Path:
         """Travel of the whole path (m)."""
         return self.corners[-1]
 
+    def at(self, leg: int, fraction: float) -> float:
+        """Travel where a fraction of a leg is done (m)."""
+        begin, end = self.corners[leg], self.corners[leg + 1]
+        return end if fraction == 1.0 else begin + fraction * (end - begin)
+
     def top(self, travel: float) -> float:
         """Displacement of the top wall (m)."""
         return float(np.interp(travel, self.corners, self._top))

@@ -128,7 +128,7 @@ class Problem:
         self._increments = np.zeros((len(self.state.points), self.layout.n_inputs))
 
         self._prescribed = [c for c in conditions if isinstance(c, Prescribed)]
-        self._dofs = [self._locate(c) for c in self._prescribed]
+        self._dofs = [self._locate(c.boundary, c.field) for c in self._prescribed]
         self._values = [dolfinx.fem.Constant(mesh, 0.0) for _ in self._prescribed]
         self._bcs = [
             dolfinx.fem.dirichletbc(value, dofs, self._subspace(c.field))
@@ -162,6 +162,14 @@ class Problem:
         flat = np.asarray(dofs).reshape(-1)[:own]
         gdim = self.geometry.mesh.geometry.dim
         return collapsed.tabulate_dof_coordinates()[:own, :gdim], self.committed.x.array[flat]
+
+    def boundary_mean(self, boundary: str, field: Field) -> float:
+        """Mean of a committed field over the nodes of a boundary (m or rad)."""
+        dofs = self._locate(boundary, field)
+        own = self.space.dofmap.index_map.size_local * self.space.dofmap.index_map_bs
+        values = self.committed.x.array[dofs[dofs < own]]
+        total, count = self.comm.allreduce(np.array([values.sum(), len(values)]))
+        return float(total / count)
 
     # -- set-up ----------------------------------------------------------------------------------------------------
 
@@ -201,11 +209,22 @@ class Problem:
         self._residual_form = dolfinx.fem.form(work - external if external is not None else work)
         self._jacobian_form = dolfinx.fem.form(jacobian)
 
-    def _locate(self, condition: Prescribed) -> npt.NDArray[np.int32]:
-        """Degrees of freedom that a condition prescribes."""
+    def _locate(self, boundary: str, field: Field) -> npt.NDArray[np.int32]:
+        """Degrees of freedom of a field on a boundary."""
         dim = self.geometry.mesh.topology.dim - 1
-        facets = self.geometry.boundaries[condition.boundary]
-        return dolfinx.fem.locate_dofs_topological(self._subspace(condition.field), dim, facets)
+        return dolfinx.fem.locate_dofs_topological(self._subspace(field), dim, self.geometry.boundaries[boundary])
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Numbers of unknowns, cells and quadrature points over all ranks, and bytes of state at each of the latter."""
+        mesh = self.geometry.mesh
+        cells = mesh.topology.index_map(mesh.topology.dim).size_global
+        return {
+            "unknowns": self.space.dofmap.index_map.size_global * self.space.dofmap.index_map_bs,
+            "cells": cells,
+            "quadrature_points": cells * len(self.state.rule_points),
+            "bytes_per_quadrature_point": self.state.bytes_per_point,
+        }
 
     # -- loading ---------------------------------------------------------------------------------------------------
 

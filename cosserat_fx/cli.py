@@ -1,0 +1,177 @@
+"""The command line: run, check, plot, info.
+
+Exit status: 0 done; 2 bad input, with one message and nothing written; 3 the simulation stopped early, with the reason,
+and everything computed so far on disk. Modules that need DOLFINx are imported by the commands that need them.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, NoReturn
+
+import typer
+from rich.console import Console
+
+from cosserat_fx.results import OutputError
+from cosserat_fx.scene import Scene, SceneError, load_scene
+
+BAD_INPUT = 2
+STOPPED = 3
+
+app = typer.Typer(
+    help="Granular bodies against rough walls: hypoplastic Cosserat continua.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+SceneFile = Annotated[Path, typer.Argument(metavar="SCENE.toml", help="The scene.")]
+Overrides = Annotated[
+    list[str], typer.Option("--set", metavar="KEY.PATH=VALUE", help="Replaces a key of the scene; may be repeated.")
+]
+_PASS_THROUGH = {"allow_extra_args": True, "ignore_unknown_options": True}
+
+
+@app.command(context_settings=_PASS_THROUGH)
+def run(
+    context: typer.Context,
+    scene: SceneFile,
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="The run's folder.")],
+    overrides: Overrides = [],  # noqa: B006  # typer's way to say "any number of"
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replaces an earlier run in the folder.")] = False,
+) -> None:
+    """Runs a scene. Options with a single dash, such as -snes_monitor, go to PETSc; works under mpirun."""
+    options = _petsc_options(context.args)
+    loaded = _load(scene, overrides)
+    _need_dolfinx()
+    from cosserat_fx._compat import MPI
+    from cosserat_fx.run import run as run_scene
+
+    console = _console()
+    try:
+        ledger = run_scene(loaded, out, overwrite=overwrite, console=console, options=options)
+    except OutputError as error:
+        _refuse(str(error))
+    if MPI.COMM_WORLD.rank == 0:
+        for warning in ledger.warnings:
+            print(f"warning: {warning}", file=sys.stderr)
+        if ledger.reason:
+            print(f"stopped early: {ledger.reason}. What was computed is in {out}.", file=sys.stderr)
+        else:
+            console.print(
+                f"done: {ledger.steps} steps, {ledger.iterations} Newton iterations, {ledger.cutbacks} cutbacks; see {out}",
+                highlight=False,
+            )
+    raise typer.Exit(STOPPED if ledger.reason else 0)
+
+
+@app.command()
+def check(scene: SceneFile, overrides: Overrides = []) -> None:  # noqa: B006
+    """Validates a scene and prints its effects, sizes and expected cost, without running it."""
+    loaded = _load(scene, overrides)
+    _need_dolfinx()
+    from cosserat_fx._compat import MPI
+    from cosserat_fx.cost import expected_cost
+    from cosserat_fx.layer import build
+    from cosserat_fx.run import describe
+
+    layer = build(loaded, MPI.COMM_WORLD)
+    cost = expected_cost(layer)
+    console = _console()
+    console.print(describe(layer))
+    console.print(str(cost), highlight=False)
+
+
+@app.command()
+def plot(folder: Annotated[Path, typer.Argument(metavar="DIR", help="The folder of a run.")]) -> None:
+    """Draws the figures of a run again."""
+    from cosserat_fx.plots import draw_all
+
+    try:
+        files = draw_all(folder)
+    except OutputError as error:
+        _refuse(str(error))
+    for file in files:
+        print(file)
+
+
+@app.command()
+def info() -> None:
+    """Prints versions."""
+    _need_dolfinx()
+    from cosserat_fx.versions import versions
+
+    for name, version in versions().items():
+        print(f"{name:12} {version}")
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    app()
+
+
+def _load(file: Path, overrides: list[str]) -> Scene:
+    try:
+        return load_scene(file, overrides)
+    except SceneError as error:
+        _refuse(str(error))
+
+
+def _petsc_options(arguments: list[str]) -> dict[str, str]:
+    """Options for PETSc from what is left of the command line: ``-name`` or ``-name value``."""
+    options: dict[str, str] = {}
+    name = ""
+    for argument in arguments:
+        if argument.startswith("--"):
+            _refuse(f"{argument}: unknown option; options for PETSc have a single dash")
+        if argument.startswith("-") and not _is_number(argument):
+            name = argument[1:]
+            options[name] = ""
+        elif name and not options[name]:
+            options[name] = argument
+        else:
+            _refuse(f"{argument}: unexpected argument; a run takes one scene")
+    return options
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _need_dolfinx() -> None:
+    try:
+        import cosserat_fx._compat  # noqa: F401
+    except ImportError as error:
+        _refuse(str(error))
+
+
+def _console() -> Console:
+    """The terminal of the first rank, or a log file, in which lines are left as long as they are."""
+    from cosserat_fx._compat import MPI
+
+    console = Console(quiet=MPI.COMM_WORLD.rank != 0)
+    if not console.is_terminal:
+        console.width = 160
+    return console
+
+
+def _refuse(message: str) -> NoReturn:
+    """Print one message, on the first rank only, and leave with the status of bad input."""
+    if _rank() == 0:
+        print(f"cosserat-fx: {message}", file=sys.stderr)
+    raise typer.Exit(BAD_INPUT)
+
+
+def _rank() -> int:
+    """This process's rank, without need of MPI where DOLFINx is not installed."""
+    try:
+        from mpi4py import MPI
+    except ImportError:
+        return 0
+    return int(MPI.COMM_WORLD.rank)
