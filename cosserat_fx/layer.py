@@ -18,8 +18,6 @@ from cosserat_fx.stepping import StepControl, Stepper
 
 FIRST_STEP = 0.0025
 """Default first step over the height of the layer: the mean shear strain in which the stiff response shows."""
-SMALLEST_STEP = 1e-4
-"""Default smallest step over the first one."""
 
 
 @dataclass(frozen=True)
@@ -119,6 +117,6 @@ def step_control(scene: Scene) -> StepControl:
     return StepControl(
         first=first,
         largest=asked.max_step or float("inf"),
-        smallest=asked.min_step or SMALLEST_STEP * first,
+        smallest=asked.min_step or 0.0,
         max_steps=asked.max_steps,
     )

@@ -290,7 +290,8 @@ class Problem:
         """Right-hand side of a linear step from the unknown at hand to the prescribed values and tractions."""
         with self.stopwatch("residual assembly"):
             _assemble(b, self._residual_form, ghosts=False)
-            b.scale(-1.0)
+            with b.localForm() as local:
+                local.scale(-1.0)
             dolfinx.fem.petsc.apply_lifting(b, [self._jacobian_form], [self._bcs], x0=[self.unknown.x.petsc_vec])
             b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
             dolfinx.fem.petsc.set_bc(b, self._bcs, x0=self.unknown.x.petsc_vec)

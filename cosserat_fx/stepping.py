@@ -21,7 +21,7 @@ class StepControl:
     Attributes:
         first: the first step, and the one after every corner of the path.
         largest: no step is larger.
-        smallest: a step that fails at this size ends the run.
+        smallest: a step that fails at this size ends the run; 0 stands for a ten-thousandth of the first.
         tolerance: aimed change of the strain rate over a step, relative to the strain rate.
         strain: aimed largest strain increment of any point.
         growth: largest factor from one step to the next.
@@ -29,12 +29,16 @@ class StepControl:
     """
 
     first: float
-    largest: float
-    smallest: float
+    largest: float = float("inf")
+    smallest: float = 0.0
     tolerance: float = 0.1
     strain: float = 0.3
     growth: float = 1.5
     max_steps: int = 100_000
+
+    def __post_init__(self) -> None:
+        """Fill in the smallest step."""
+        object.__setattr__(self, "smallest", self.smallest or 1e-4 * self.first)
 
 
 @dataclass(frozen=True)
@@ -57,7 +61,7 @@ class Step:
 
 
 class StepFailure(RuntimeError):
-    """A step could not be made at the smallest size; the message gives cause and place."""
+    """The walk cannot go on; the message gives cause and place."""
 
 
 class Stepper:
@@ -99,11 +103,13 @@ class Stepper:
         """Make the steps one by one; each is committed when it is handed out.
 
         Raises:
-            StepFailure: the smallest step failed.
+            StepFailure: the smallest step failed, or there were as many steps as allowed.
         """
         travel, size, number = self._corners[0], self.control.first, 0
         for stop in self._stops:
             while travel < stop:
+                if number == self.control.max_steps:
+                    raise StepFailure(f"the run reached its limit of {number} steps at a travel of {travel:.9g} m")
                 step, wish = self._step_from(travel, stop, size), size
                 iterations = cutbacks = 0
                 while not (solution := self._attempt(travel, step)).converged:
