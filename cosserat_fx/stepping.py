@@ -121,12 +121,12 @@ class Stepper:
                         )
                     cutbacks += 1
                     step = wish = max(step / 2, self.control.smallest)
-                limit = self._remember(step)
+                suggestion = self._remember(step)
                 travel = stop if travel + step >= stop * (1 - 1e-12) else travel + step
                 self.problem.commit()
                 number += 1
                 yield Step(number, travel, step, iterations + solution.iterations, cutbacks)
-                size = self._resize(wish, step, solution.iterations, cutbacks, limit)
+                size = self._resize(wish, step, solution.iterations, cutbacks, suggestion)
                 if travel in self._corners:
                     self._last, size = None, self.control.first
 
@@ -149,27 +149,34 @@ class Stepper:
         return self.solver.solve()
 
     def _remember(self, step: float) -> float:
-        """Keep the increment just found for the next prediction; return by which factor the step may change."""
+        """Keep the increment just found for the next prediction; return the step size that its strains suggest."""
         problem, control, last = self.problem, self.control, self._last
         strains = problem.strain_increments()
         self._last = _Increment(step, problem.unknown.x.array - problem.committed.x.array, strains)
         largest = problem.comm.allreduce(np.max(np.linalg.norm(strains, axis=1), initial=0.0), op=MPI.MAX)
-        factor = min(control.growth, control.strain / largest)
-        if last is None:
-            return factor
-        change = problem.comm.allreduce(np.sum((strains - step / last.size * last.strains) ** 2))
-        total = problem.comm.allreduce(np.sum(strains**2))
-        return min(factor, control.tolerance * float(np.sqrt(total / change)))
+        factor = control.strain / largest
+        if last is not None:
+            change = problem.comm.allreduce(np.sum((strains - step / last.size * last.strains) ** 2))
+            total = problem.comm.allreduce(np.sum(strains**2))
+            factor = min(factor, control.tolerance * float(np.sqrt(total / change)))
+        return step * factor
 
-    def _resize(self, wish: float, step: float, iterations: int, cutbacks: int, factor: float) -> float:
-        """The size to wish for next."""
+    def _resize(self, wish: float, step: float, iterations: int, cutbacks: int, suggestion: float) -> float:
+        """The size to wish for next.
+
+        Args:
+            wish: the size wished for before; the step made may have been shorter, to hit a stop.
+            step: the step made (m).
+            iterations: Newton iterations of the successful attempt.
+            cutbacks: failed attempts before it.
+            suggestion: the step size that the strains suggest (m).
+        """
         control = self.control
         if cutbacks:
             return step
-        if iterations > self.HARD_ITERATIONS:
-            factor = min(factor, 0.7)
-        base = step if factor < 1.0 else max(wish, step)
-        return float(np.clip(base * max(factor, 0.5), control.smallest, control.largest))
+        growth = control.growth if iterations <= self.HARD_ITERATIONS else 0.7
+        size = float(np.clip(suggestion, step / 2, growth * max(wish, step)))
+        return min(max(size, control.smallest), control.largest)
 
 
 class _Increment(NamedTuple):
