@@ -61,7 +61,8 @@ def run(
             print(f"stopped early: {ledger.reason}. What was computed is in {out}.", file=sys.stderr)
         else:
             console.print(
-                f"done: {ledger.steps} steps, {ledger.iterations} Newton iterations, {ledger.cutbacks} cutbacks; see {out}",
+                f"done: {ledger.steps} steps, {ledger.iterations} Newton iterations, {ledger.cutbacks} cutbacks; "
+                f"see {out}",
                 highlight=False,
             )
     raise typer.Exit(STOPPED if ledger.reason else 0)

@@ -42,8 +42,8 @@ class Cost:
 def expected_cost(layer: Layer) -> Cost:
     """Estimate steps, kernel time and memory.
 
-    Shear localises in a band of some ten grains, whose strain per step is bounded; the steps up to the peak come on top,
-    once a leg.
+    Shear localises in a band of some ten grains, whose strain per step is bounded; the steps up to the peak come on
+    top, once a leg.
     """
     problem, control = layer.problem, layer.stepper.control
     band = min(BAND_IN_GRAINS * problem.material.d50, layer.scene.geometry.height)

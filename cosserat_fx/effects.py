@@ -84,7 +84,9 @@ def audit(scene: Scene, max_shear_strain: float) -> list[str]:
 
 def _finite(scene: Scene) -> bool:
     asked = scene.effects.finite_strain
-    return asked if isinstance(asked, bool) else _largest_displacement(scene) > LARGE_DISPLACEMENT * scene.geometry.height
+    return (
+        asked if isinstance(asked, bool) else _largest_displacement(scene) > LARGE_DISPLACEMENT * scene.geometry.height
+    )
 
 
 def _largest_displacement(scene: Scene) -> float:

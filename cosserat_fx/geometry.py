@@ -44,7 +44,9 @@ def layer(height: float, cells: int, comm: MPI.Intracomm = MPI.COMM_WORLD) -> Ge
     """
     mesh = dolfinx.mesh.create_interval(comm, cells, [0.0, height])
     boundaries = {
-        name: dolfinx.mesh.locate_entities_boundary(mesh, 0, lambda x, y=y: np.isclose(x[0], y, rtol=0, atol=1e-9 * height))
+        name: dolfinx.mesh.locate_entities_boundary(
+            mesh, 0, lambda x, y=y: np.isclose(x[0], y, rtol=0, atol=1e-9 * height)
+        )
         for name, y in (("bottom", 0.0), ("top", height))
     }
     return Geometry(mesh, "layer", boundaries)

@@ -323,9 +323,7 @@ def rate(
 
 
 @inline
-def stage_matrix(
-    d: Array, w: Array, scale: float, p: Point, t: Tables, law: LawArrays, matrix: Array
-) -> None:
+def stage_matrix(d: Array, w: Array, scale: float, p: Point, t: Tables, law: LawArrays, matrix: Array) -> None:
     """The matrix 1 - scale * d(rate)/dy of an implicit stage.
 
     Args:

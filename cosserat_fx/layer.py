@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from cosserat_fx import geometry
@@ -63,9 +64,7 @@ def build(scene: Scene, comm: MPI.Intracomm, options: dict[str, PetscOption] | N
         options={**scene.solver.petsc, **(options or {})},
     )
     legs_before = len(path.corners) - 1 - len(scene.legs)
-    stations = tuple(
-        path.at(legs_before + station.leg, station.fraction) for station in scene.profile_stations
-    )
+    stations = tuple(path.at(legs_before + station.leg, station.fraction) for station in scene.profile_stations)
     stepper = Stepper(problem, solver, path.corners, stations, step_control(scene))
     return Layer(scene, problem, stepper, path, stations)
 
@@ -101,7 +100,9 @@ def conditions(scene: Scene, path: Path) -> list[Condition]:
     return [*listed, Traction("top", lambda travel: (0.0, initial + path.load(travel) * change))]
 
 
-def _wall_conditions(side, wall: Wall, displacement, outward: int, d50: float, polar: bool) -> list[Prescribed]:
+def _wall_conditions(
+    side: str, wall: Wall, displacement: Callable[[float], float], outward: int, d50: float, polar: bool
+) -> list[Prescribed]:
     """Displacement along the wall and rotation of the grains that touch it."""
     transmitted, turn = wall.displacement_factor, wall.rolling_rotation_factor(d50)
     given = [Prescribed(side, "u1", lambda travel: transmitted * displacement(travel))]

@@ -19,6 +19,29 @@ Dimension = Literal["layer", "plane", "solid"]
 
 _ALL: tuple[Component, ...] = tuple((i, j) for i in range(3) for j in range(3))
 _SYMMETRIC: tuple[Component, ...] = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+_COMPONENTS: dict[Dimension, dict[str, tuple[Component, ...]]] = {
+    "layer": {
+        "strain": ((1, 1), (0, 1), (1, 0)),
+        "curvature": ((2, 1),),
+        "stress": ((0, 0), (1, 1), (2, 2), (0, 1), (1, 0)),
+        "couple": ((2, 0), (2, 1)),
+        "spin": ((0, 1),),
+    },
+    "plane": {
+        "strain": ((0, 0), (1, 1), (0, 1), (1, 0)),
+        "curvature": ((2, 0), (2, 1)),
+        "stress": ((0, 0), (1, 1), (2, 2), (0, 1), (1, 0)),
+        "couple": ((2, 0), (2, 1)),
+        "spin": ((0, 1),),
+    },
+    "solid": {
+        "strain": _ALL,
+        "curvature": _ALL,
+        "stress": _ALL,
+        "couple": _ALL,
+        "spin": ((0, 1), (0, 2), (1, 2)),
+    },
+}
 
 
 @dataclass(frozen=True)
@@ -81,19 +104,8 @@ class Layout:
 
 def layout(dimension: Dimension, *, polar: bool = True) -> Layout:
     """The components of a layer, plane or solid problem, polar (Cosserat) or classical."""
-    in_plane = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 0))
-    if dimension == "layer":
-        strain: tuple[Component, ...] = ((1, 1), (0, 1), (1, 0))
-        curvature: tuple[Component, ...] = ((2, 1),)
-        stress, couple, spin = in_plane, ((2, 0), (2, 1)), ((0, 1),)
-    elif dimension == "plane":
-        strain, curvature = ((0, 0), (1, 1), (0, 1), (1, 0)), ((2, 0), (2, 1))
-        stress, couple, spin = in_plane, curvature, ((0, 1),)
-    else:
-        strain, curvature, stress, couple = _ALL, _ALL, _ALL, _ALL
-        spin = ((0, 1), (0, 2), (1, 2))
+    components = _COMPONENTS[dimension]
     if polar:
-        return Layout(dimension, True, strain, curvature, stress, couple, spin)
-    upper_strain = tuple(c for c in _SYMMETRIC if c in strain)
-    upper_stress = tuple(c for c in _SYMMETRIC if c in stress)
-    return Layout(dimension, False, upper_strain, (), upper_stress, (), spin)
+        return Layout(dimension, True, **components)
+    upper = {kind: tuple(c for c in _SYMMETRIC if c in components[kind]) for kind in ("strain", "stress")}
+    return Layout(dimension, False, **upper, curvature=(), couple=(), spin=components["spin"])

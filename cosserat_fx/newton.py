@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cosserat_fx._compat import PETSc
+from cosserat_fx._compat import MPI, PETSc
 from cosserat_fx.problem import Failure, Problem
 
 PetscOption = str | int | float | bool
@@ -85,7 +85,7 @@ class NewtonSolver:
 
         database = PETSc.Options(_PREFIX)
         for key, value in {**_DEFAULTS, **(options or {})}.items():
-            if options and key in options or not database.hasName(key):
+            if (options and key in options) or not database.hasName(key):
                 database.setValue(key, value)
         self.snes = PETSc.SNES().create(problem.comm)
         self.snes.setOptionsPrefix(_PREFIX)
@@ -97,28 +97,25 @@ class NewtonSolver:
     def solve(self) -> Solution:
         """Find equilibrium from the problem's unknown, which holds the prescribed values already."""
         problem = self._problem
-        for name, count in (("substeps", 1),):
-            getattr(problem.state, name)[:] = count
+        problem.state.restart_substeps()
         scale = problem.force_scale()
         self.snes.setTolerances(atol=self._tolerance * scale)
-        own = self._x.getLocalSize()
-        self._x.array_w[:] = problem.unknown.x.array[:own]
+        self._x.array_w[:] = problem.unknown.x.array[: self._x.getLocalSize()]
         self._frozen, iterations = False, 0
         for _ in range(_RECHECKS):
             self._failure = None
             with problem.stopwatch("Newton"):
                 self.snes.solve(None, self._x)
             iterations += self.snes.getIterationNumber()
-            reason = self.snes.getConvergedReason()
             residual = self.snes.getFunctionNorm() / scale
+            reason = self.snes.getConvergedReason()
             if reason < 0:
-                cause = str(self._failure) if self._failure else _REASONS[reason]
-                return Solution(False, iterations, cause, residual)
-            problem.set_unknown(self._x)
+                return Solution(False, iterations, str(self._failure or _REASONS[reason]), residual)
             before = problem.state.substeps.copy()
-            problem.update(adapt=True)
-            changed = bool(np.any(before != problem.state.substeps))
-            if not problem.comm.allreduce(changed):
+            problem.set_unknown(self._x)
+            if failure := problem.update(adapt=True):
+                return Solution(False, iterations, str(failure), residual)
+            if not problem.comm.allreduce(bool(np.any(before != problem.state.substeps)), op=MPI.LOR):
                 return Solution(True, iterations, "converged", residual)
             self._frozen = True
         return Solution(False, iterations, "the number of local substeps did not settle", residual)
@@ -144,8 +141,7 @@ class NewtonSolver:
             ksp.solve(b, self._x)
         if ksp.getConvergedReason() < 0:
             return False
-        own = self._x.getLocalSize()
-        problem.unknown.x.array[:own] += self._x.array_r
+        problem.unknown.x.array[: self._x.getLocalSize()] += self._x.array_r
         problem.unknown.x.scatter_forward()
         problem.impose()
         return True
@@ -168,6 +164,6 @@ class NewtonSolver:
         """Update the trial state at a point; False, on every rank, where the law cannot."""
         self._problem.set_unknown(x)
         failure = self._problem.update(adapt=adapt)
-        self._failure = failure or (self._failure if self._failure else None)
+        self._failure = failure or self._failure
         x.copy(self._evaluated)
         return failure is None

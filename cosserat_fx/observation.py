@@ -10,6 +10,7 @@ import numpy.typing as npt
 import ufl
 
 from cosserat_fx._compat import MPI, dolfinx, evaluate
+from cosserat_fx.conditions import Field
 from cosserat_fx.hypoplasticity import Status
 from cosserat_fx.layer import Layer
 from cosserat_fx.stepping import Step
@@ -104,7 +105,9 @@ class LayerObserver:
 
     def nodes(self) -> Columns | None:
         """Height and fields at every node in ascending height, on rank 0; None on the others."""
-        fields = {"u1_m": "u1", "u2_m": "u2"} | ({"omega_rad": "w"} if self._problem.layout.polar else {})
+        fields: dict[str, Field] = {"u1_m": "u1", "u2_m": "u2"}
+        if self._problem.layout.polar:
+            fields["omega_rad"] = "w"
         own: Columns = {}
         for name, field in fields.items():
             coordinates, own[name] = self._problem.nodal_values(field)

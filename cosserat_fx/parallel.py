@@ -14,8 +14,7 @@ def on_first_rank[Result](comm: MPI.Intracomm, work: Callable[[], Result]) -> Re
         comm: the ranks; all of them call this.
         work: what to do; its result or exception has to be picklable.
     """
-    result: Result | None = None
-    error: Exception | None = None
+    result, error = None, None
     if comm.rank == 0:
         try:
             result = work()
@@ -24,4 +23,4 @@ def on_first_rank[Result](comm: MPI.Intracomm, work: Callable[[], Result]) -> Re
     result, error = comm.bcast((result, error))
     if error is not None:
         raise error
-    return result  # type: ignore[return-value]  # set wherever there is no error
+    return result

@@ -44,7 +44,7 @@ class Numerics:
     spin: str = "macro"
     void_ratio: bool = True
     degree: int = 1
-    local_tolerance: float = 1e-4
+    local_tolerance: float = 1e-3
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from cosserat_fx._compat import MPI
 from cosserat_fx.bands import band_metrics, friction_metrics
 from cosserat_fx.effects import audit, effects
 from cosserat_fx.fields import FieldWriter
+from cosserat_fx.hypoplasticity import REASONS, Status
 from cosserat_fx.layer import Layer, build
 from cosserat_fx.newton import PetscOption
 from cosserat_fx.observation import Columns, LayerObserver
@@ -24,7 +25,7 @@ from cosserat_fx.plots import draw_all
 from cosserat_fx.progress import RunProgress
 from cosserat_fx.results import FORMAT, RunFolder, read_run
 from cosserat_fx.scene import Scene
-from cosserat_fx.stepping import Step, StepFailure
+from cosserat_fx.stepping import Step, SteppingError
 from cosserat_fx.versions import versions
 
 
@@ -86,7 +87,7 @@ def run(
             for step in layer.stepper:
                 recorder.record(step)
                 progress.report(step)
-    except StepFailure as failure:
+    except SteppingError as failure:
         recorder.ledger.reason = str(failure)
     recorder.finish(perf_counter() - start)
     return recorder.ledger
@@ -221,6 +222,6 @@ class Recorder:
             return
         self._loose = True
         self.ledger.warnings.append(
-            f"the void ratio exceeds e_i, the loosest state the law describes, at {loose.count} point(s) from a travel of "
-            f"{step.travel:.6g} m on, first at y = {loose.height:.6g} m"
+            f"{REASONS[Status.LOOSER_THAN_E_I]}, at {loose.count} point(s) from a travel of {step.travel:.6g} m on, "
+            f"first at y = {loose.height:.6g} m"
         )

@@ -264,7 +264,7 @@ class Solver(Table):
     """Relative tolerance of the global Newton iteration."""
     max_iterations: int = Field(default=25, ge=1)
     """Newton iterations after which a step is cut back."""
-    local_tolerance: float = Field(default=1e-4, gt=0, lt=1)
+    local_tolerance: float = Field(default=1e-3, gt=0, lt=1)
     """Relative error allowed in the integration of the law over a step."""
     petsc: dict[str, PetscOption] = Field(default_factory=dict)
     """Options passed through to PETSc."""

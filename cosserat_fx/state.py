@@ -135,6 +135,10 @@ class QuadratureState:
         )
         return Outcome(code, row)
 
+    def restart_substeps(self) -> None:
+        """Let every point begin its next step with one local substep again."""
+        self.substeps[:] = 1
+
     def commit(self) -> None:
         """Make the trial state the committed one."""
         self.forces_n[:] = self._forces

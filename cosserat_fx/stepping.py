@@ -60,15 +60,15 @@ class Step:
     cutbacks: int
 
 
-class StepFailure(RuntimeError):
+class SteppingError(RuntimeError):
     """The walk cannot go on; the message gives cause and place."""
 
 
 class Stepper:
     """Walks a problem along its path.
 
-    The step size follows an estimate of the temporal error: strains are integrated as if they grew in proportion within a
-    step, so what matters is how much their rate changes from one step to the next,
+    The step size follows an estimate of the temporal error: strains are integrated as if they grew in proportion within
+    a step, so what matters is how much their rate changes from one step to the next,
 
         r = |d_eps - (h/h_old) d_eps_old| / |d_eps|     (root mean square over the quadrature points),
 
@@ -103,20 +103,20 @@ class Stepper:
         """Make the steps one by one; each is committed when it is handed out.
 
         Raises:
-            StepFailure: the smallest step failed, or there were as many steps as allowed.
+            SteppingError: the smallest step failed, or there were as many steps as allowed.
         """
         travel, size, number = self._corners[0], self.control.first, 0
         for stop in self._stops:
             while travel < stop:
                 if number == self.control.max_steps:
-                    raise StepFailure(f"the run reached its limit of {number} steps at a travel of {travel:.9g} m")
+                    raise SteppingError(f"the run reached its limit of {number} steps at a travel of {travel:.9g} m")
                 step, wish = self._step_from(travel, stop, size), size
                 iterations = cutbacks = 0
                 while not (solution := self._attempt(travel, step)).converged:
                     iterations += solution.iterations
                     self.problem.roll_back()
                     if step <= self.control.smallest:
-                        raise StepFailure(
+                        raise SteppingError(
                             f"the step from {travel:.9g} m failed at the smallest size, {step:.3g} m: {solution.reason}"
                         )
                     cutbacks += 1
@@ -159,7 +159,7 @@ class Stepper:
             change = problem.comm.allreduce(np.sum((strains - step / last.size * last.strains) ** 2))
             total = problem.comm.allreduce(np.sum(strains**2))
             factor = min(factor, control.tolerance * float(np.sqrt(total / change)))
-        return step * factor
+        return float(step * factor)
 
     def _resize(self, wish: float, step: float, iterations: int, cutbacks: int, suggestion: float) -> float:
         """The size to wish for next.

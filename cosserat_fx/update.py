@@ -31,7 +31,6 @@ from numba import njit
 
 from cosserat_fx.dense import factorise, solve
 from cosserat_fx.hypoplasticity import (
-    FIRST_FAILURE,
     LawArrays,
     Status,
     Tables,
@@ -210,9 +209,7 @@ def _integrate(  # type: ignore[no-untyped-def]
                 return code, worst
             if want_tangent:
                 e_by_volume = (1.0 + e) * time if evolving else 0.0
-                add_input_derivative(
-                    work.stage, work.d, GAMMA * h, e_by_volume, p, t, work.law, work.stage_sensitivity
-                )
+                add_input_derivative(work.stage, work.d, GAMMA * h, e_by_volume, p, t, work.law, work.stage_sensitivity)
                 solve(work.matrix, work.pivots, work.stage_sensitivity, n, inputs)
             if stage == 0:
                 # h f(Y_1) is known from the stage equation itself.

@@ -1,8 +1,8 @@
 r"""# A sheared layer through the Python interface
 
-This demo builds the layer of `layer_medium_rough.toml` by hand: a granular layer, 4 cm high and infinitely wide, between
-a very rough bottom and a medium rough top wall that moves along x1 while it carries a constant pressure. It goes from the
-equations to the code; `python demos/layer_from_python.py` runs it.
+This demo builds the layer of `layer_medium_rough.toml` by hand: a granular layer, 4 cm high and infinitely wide,
+between a very rough bottom and a medium rough top wall that moves along x1 while it carries a constant pressure. It
+goes from the equations to the code; `python demos/layer_from_python.py` runs it.
 
 ## The equations
 
@@ -15,8 +15,9 @@ reference mesh with F = I + grad u and J = det F, asks for all v and q that
 
     integral [ sigma : (grad v F^-1 + E(q)) + mu : (grad q F^-1) ] J dX = work of the tractions.
 
-In an infinite layer everything depends on x2 alone: u1(x2), u2(x2), w3(x2). One dimension is enough, linear elements with
-one integration point each. The stresses follow the rate form of the hypoplastic law, integrated over each step at that point.
+In an infinite layer everything depends on x2 alone: u1(x2), u2(x2), w3(x2). One dimension is enough, linear elements
+with one integration point each. The stresses follow the rate form of the hypoplastic law, integrated over each step at
+that point.
 
 ## The code
 """

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from cosserat_fx import plots
+from cosserat_fx import layer_figure, page, plots
 from cosserat_fx.results import OutputError, Run, RunFolder, read_run
 
 HEIGHT, D50, POINTS = 0.04, 0.5e-3, 80
@@ -139,7 +139,7 @@ def test_other_kinds_of_runs_are_drawn(tmp_path: Path, kind: dict[str, Any]) -> 
     for draw in (plots.draw_history, plots.draw_profiles):
         draw(run, tmp_path / "figure.png")
         picture(tmp_path / "figure.png")
-    assert plots.draw_layer(run, tmp_path / "layer.png", "matplotlib") == "matplotlib"
+    assert layer_figure.draw_layer(run, tmp_path / "layer.png", "matplotlib") == "matplotlib"
     picture(tmp_path / "layer.png")
 
 
@@ -155,19 +155,19 @@ def test_one_point_and_a_frozen_void_ratio_are_drawn(tmp_path: Path) -> None:
     one |= {"void_ratio": np.array([0.6]), "omega_rad": np.zeros(1), "m32_N_per_m": np.zeros(1)}
     run = replace(run, profiles=one)
     plots.draw_profiles(run, tmp_path / "profiles.png")
-    plots.draw_layer(run, tmp_path / "layer.png", "matplotlib")
+    layer_figure.draw_layer(run, tmp_path / "layer.png", "matplotlib")
     picture(tmp_path / "layer.png")
 
 
 def test_labels_tell_the_travel_and_with_reversals_the_step(run: Run, tmp_path: Path) -> None:
-    assert plots._labels(run) == ["4 mm", "10 mm", "20 mm", "30 mm"]
+    assert page.labels(run) == ["4 mm", "10 mm", "20 mm", "30 mm"]
     cyclic = write_run(tmp_path / "run", targets=(0.004, -0.004), requested=(0.004, -0.004))
-    assert plots._labels(cyclic) == ["4 mm (step 8)", "\N{MINUS SIGN}4 mm (step 24)"]
+    assert page.labels(cyclic) == ["4 mm (step 8)", "\N{MINUS SIGN}4 mm (step 24)"]
 
 
 def test_the_layer_is_as_high_and_as_displaced_as_the_walls_say(run: Run) -> None:
     """Extrapolation to the walls gives their displacement, which no quadrature point has."""
-    start, *states = plots._columns(run)
+    start, *states = layer_figure._columns(run)
     assert (np.ptp(start.y), np.ptp(start.x)) == pytest.approx((40.0, 20.0))
     for column, travel in zip(states, REQUESTED, strict=True):
         assert column.x[-1, 0] - column.x[0, 0] == pytest.approx(1e3 * travel, rel=1e-3)
@@ -178,7 +178,7 @@ def test_the_layer_is_as_high_and_as_displaced_as_the_walls_say(run: Run) -> Non
 
 def test_states_that_do_not_fit_beside_each_other_go_below(tmp_path: Path) -> None:
     run = write_run(tmp_path / "run", targets=(0.2,), requested=(0.1, 0.2))
-    start, beside, below = plots._columns(run)
+    start, beside, below = layer_figure._columns(run)
     assert beside.y.min() == pytest.approx(0.0, abs=1e-6)
     assert start.x.max() < beside.x.min()
     assert below.y.max() < -1.0
@@ -186,8 +186,8 @@ def test_states_that_do_not_fit_beside_each_other_go_below(tmp_path: Path) -> No
 
 
 def test_vtk_and_matplotlib_paint_the_same_picture(run: Run, tmp_path: Path) -> None:
-    by_default = plots.draw_layer(run, tmp_path / "default.png")
-    assert plots.draw_layer(run, tmp_path / "matplotlib.png", "matplotlib") == "matplotlib"
+    by_default = layer_figure.draw_layer(run, tmp_path / "default.png")
+    assert layer_figure.draw_layer(run, tmp_path / "matplotlib.png", "matplotlib") == "matplotlib"
     if by_default == "matplotlib":
         pytest.skip("VTK cannot render here, and matplotlib stood in as it should")
     difference = np.abs(picture(tmp_path / "default.png") - picture(tmp_path / "matplotlib.png"))
@@ -199,10 +199,10 @@ def test_matplotlib_stands_in_where_vtk_dies(run: Run, tmp_path: Path, monkeypat
     dying.write_text("#!/bin/sh\nkill -ABRT $$\n")
     dying.chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(dying))
-    assert plots.draw_layer(run, tmp_path / "layer.png") == "matplotlib"
+    assert layer_figure.draw_layer(run, tmp_path / "layer.png") == "matplotlib"
     picture(tmp_path / "layer.png")
     with pytest.raises(RuntimeError, match="VTK cannot render"):
-        plots.draw_layer(run, tmp_path / "layer.png", "pyvista")
+        layer_figure.draw_layer(run, tmp_path / "layer.png", "pyvista")
 
 
 def test_matplotlib_stands_in_where_vtk_paints_nothing(
@@ -210,8 +210,8 @@ def test_matplotlib_stands_in_where_vtk_paints_nothing(
 ) -> None:
     """Some drivers succeed with a blank image."""
     monkeypatch.setattr(sys, "executable", "/bin/true")
-    monkeypatch.setattr(plots, "imread", lambda _: np.ones((4, 4, 3)))
-    assert plots.draw_layer(run, tmp_path / "layer.png") == "matplotlib"
+    monkeypatch.setattr(layer_figure, "imread", lambda _: np.ones((4, 4, 3)))
+    assert layer_figure.draw_layer(run, tmp_path / "layer.png") == "matplotlib"
 
 
 def test_drawing_leaves_the_settings_of_matplotlib_alone(run: Run, tmp_path: Path) -> None:
