@@ -6,6 +6,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+import ufl
+from ufl.core.expr import Expr
+
 Field = Literal["u1", "u2", "u3", "w"]
 
 
@@ -37,7 +40,30 @@ class Traction:
     value: Callable[[float], Sequence[float]]
 
 
-Condition = Prescribed | Traction
+VirtualWork = Callable[[Expr, Expr | None, Expr, Expr | None, ufl.Measure], ufl.Form]
+"""Returns virtual work, linear in v and q, from u, w, v, q and a measure of the reference configuration.
+
+These are displacement (m) and rotation (rad) at the end of the step and their virtual counterparts; w and q are None in
+a classical continuum.
+"""
+
+
+@dataclass(frozen=True)
+class Work:
+    """A load or resistance given by its virtual work on the body, such as springs at a wall or weight.
+
+    The Jacobian gets its derivative from UFL, so it may depend on u and w. Work that resists a motion is negative.
+
+    Attributes:
+        form: the virtual work, a UFL form.
+        boundary: name of the boundary whose reference area is integrated over, or None for the volume of the body.
+    """
+
+    form: VirtualWork
+    boundary: str | None = None
+
+
+Condition = Prescribed | Traction | Work
 
 
 def fixed(boundary: str, *fields: Field) -> list[Prescribed]:

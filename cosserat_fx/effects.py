@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cosserat_fx.problem import Numerics
 from cosserat_fx.scene import Scene
+from cosserat_fx.weakform import Numerics
 
 LARGE_DISPLACEMENT = 0.03
 """Prescribed displacement over the layer's height above which strains are taken as finite."""

@@ -15,6 +15,7 @@ from cosserat_fx.hypoplasticity import Status
 from cosserat_fx.layer import Layer
 from cosserat_fx.stepping import Step
 from cosserat_fx.typing import Array
+from cosserat_fx.weakform import split
 
 type Row = dict[str, float | int]
 type Columns = dict[str, Array]
@@ -43,7 +44,7 @@ class LayerObserver:
         """Compile what is evaluated at the quadrature points."""
         self._layer = layer
         problem = self._problem = layer.problem
-        u, w = problem.fields(problem.committed)
+        u, w = split(problem.committed, polar=problem.layout.polar)
         parts = [u[0], u[1], u[0].dx(0), *([] if w is None else [w])]
         self._expression = dolfinx.fem.Expression(ufl.as_vector(parts), problem.state.rule_points)
         self._values = np.zeros((len(problem.state.points), len(parts)))

@@ -23,4 +23,5 @@ def on_first_rank[Result](comm: MPI.Intracomm, work: Callable[[], Result]) -> Re
     result, error = comm.bcast((result, error))
     if error is not None:
         raise error
-    return result
+    shared: Result = result
+    return shared

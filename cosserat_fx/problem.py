@@ -9,14 +9,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import basix.ufl
 import numpy as np
 import numpy.typing as npt
-import ufl
 
+from cosserat_fx import weakform
 from cosserat_fx._compat import MPI, PETSc, dolfinx, evaluate
-from cosserat_fx.conditions import Condition, Field, Prescribed, Traction
-from cosserat_fx.forms import balance, kinematics, loads
+from cosserat_fx.conditions import Condition, Field, Prescribed
 from cosserat_fx.geometry import Geometry
 from cosserat_fx.hypoplasticity import FIRST_FAILURE, REASONS, Status
 from cosserat_fx.layout import layout
@@ -24,27 +22,7 @@ from cosserat_fx.material import Material
 from cosserat_fx.state import QuadratureState
 from cosserat_fx.timing import Stopwatch
 from cosserat_fx.typing import Array
-
-
-@dataclass(frozen=True)
-class Numerics:
-    """Which effects a problem has and how its integrals are taken.
-
-    Attributes:
-        polar: Cosserat rotations and couple stresses; without them the continuum is classical.
-        finite: increments and balance on the deforming configuration instead of the reference one.
-        spin: objective terms with the spin of the displacement ("macro"), of the rotation ("cosserat"), or "none".
-        void_ratio: whether the void ratio evolves.
-        degree: of the quadrature rule; 1 is one point per cell.
-        local_tolerance: of the constitutive update's error estimate, relative to the trace of the stress.
-    """
-
-    polar: bool = True
-    finite: bool = True
-    spin: str = "macro"
-    void_ratio: bool = True
-    degree: int = 1
-    local_tolerance: float = 1e-3
+from cosserat_fx.weakform import Numerics
 
 
 @dataclass(frozen=True)
@@ -100,9 +78,9 @@ class Problem:
         self.geometry, self.material = geometry, material
         self.numerics = numerics = numerics or Numerics()
         self.stopwatch = Stopwatch()
-        mesh, dimension = geometry.mesh, geometry.dimension
+        mesh = geometry.mesh
         self.comm: MPI.Intracomm = mesh.comm
-        self.layout = layout(dimension, polar=numerics.polar)
+        self.layout = layout(geometry.dimension, polar=numerics.polar)
         self.state = QuadratureState(
             mesh,
             self.layout,
@@ -114,17 +92,12 @@ class Problem:
         )
         self.state.initialise(stress, void_ratio)
 
-        self.space = dolfinx.fem.functionspace(mesh, _element(mesh, numerics.polar))
+        self.space = dolfinx.fem.functionspace(mesh, weakform.element(mesh, polar=numerics.polar))
         self.unknown = dolfinx.fem.Function(self.space, name="unknown")
         self.committed = dolfinx.fem.Function(self.space, name="committed")
-        u, w = self.fields(self.unknown)
-        u_n, w_n = self.fields(self.committed)
-        step = kinematics.increments(u, u_n, w, w_n, dimension, finite=numerics.finite, spin=numerics.spin)
-        increments = kinematics.pack(
-            (step.strain, self.layout.strain), (step.curvature, self.layout.curvature), (step.spin, self.layout.spin)
+        self._form = weakform.build(
+            geometry, numerics, self.state, conditions, self.unknown, self.committed, length=material.d50
         )
-        self._build_forms(conditions, increments)
-        self._strains = dolfinx.fem.Expression(increments, self.state.rule_points)
         self._increments = np.zeros((len(self.state.points), self.layout.n_inputs))
 
         self._prescribed = [c for c in conditions if isinstance(c, Prescribed)]
@@ -134,14 +107,10 @@ class Problem:
             dolfinx.fem.dirichletbc(value, dofs, self._subspace(c.field))
             for c, dofs, value in zip(self._prescribed, self._dofs, self._values, strict=True)
         ]
-        self.matrix = dolfinx.fem.petsc.create_matrix(self._jacobian_form)
-        self.vector = dolfinx.fem.petsc.assemble_vector(self._residual_form)
+        self.matrix = dolfinx.fem.petsc.create_matrix(self._form.jacobian)
+        self.vector = dolfinx.fem.petsc.assemble_vector(self._form.residual)
 
     # -- fields ----------------------------------------------------------------------------------------------------
-
-    def fields(self, function: ufl.core.expr.Expr) -> tuple[ufl.core.expr.Expr, ufl.core.expr.Expr | None]:
-        """Displacement and rotation (None in a classical continuum) of a function of the problem's space."""
-        return ufl.split(function) if self.numerics.polar else (function, None)
 
     def _subspace(self, field: Field) -> dolfinx.fem.FunctionSpace:
         """The space of one scalar field."""
@@ -173,46 +142,12 @@ class Problem:
 
     # -- set-up ----------------------------------------------------------------------------------------------------
 
-    def _build_forms(self, conditions: Sequence[Condition], increments: ufl.core.expr.Expr) -> None:
-        """Compile residual and Jacobian."""
-        mesh, dimension, finite = self.geometry.mesh, self.geometry.dimension, self.numerics.finite
-        test, trial = ufl.TestFunction(self.space), ufl.TrialFunction(self.space)
-        v, q = self.fields(test)
-        u, _ = self.fields(self.unknown)
-        if q is not None:
-            q = q / self.material.d50
-        strain, curvature = kinematics.virtual_strain(v, q, u, dimension, finite=finite)
-        virtual = kinematics.pack((strain, self.layout.strain), (curvature, self.layout.curvature))
-        deformation = kinematics.deformation_gradient(u, dimension, finite=finite)
-        volume = kinematics.determinant(deformation, dimension)
-        dx = ufl.Measure(
-            "dx", mesh, metadata={"quadrature_degree": self.numerics.degree, "quadrature_scheme": "default"}
-        )
-        slots, weights = self.layout.strain_slots, self.layout.weights
-        work = balance.internal_work(self.state.forces, slots, weights, virtual, volume, dx)
-        jacobian = balance.linearised_work(
-            work, self.unknown, trial, self.state.tangent, increments, slots, weights, virtual, volume, dx
-        )
-
-        self._tractions = [c for c in conditions if isinstance(c, Traction)]
-        size = 3 if dimension == "solid" else 2
-        self._traction_values = [dolfinx.fem.Constant(mesh, np.zeros(size)) for _ in self._tractions]
-        names = list(dict.fromkeys(c.boundary for c in self._tractions))
-        external = None
-        if names:
-            ds = ufl.Measure("ds", mesh, subdomain_data=self.geometry.facet_tags(names))
-            external = sum(
-                loads.traction_work(value, v, ds(names.index(c.boundary)))
-                for c, value in zip(self._tractions, self._traction_values, strict=True)
-            )
-        self._internal_form = dolfinx.fem.form(work)
-        self._residual_form = dolfinx.fem.form(work - external if external is not None else work)
-        self._jacobian_form = dolfinx.fem.form(jacobian)
-
     def _locate(self, boundary: str, field: Field) -> npt.NDArray[np.int32]:
         """Degrees of freedom of a field on a boundary."""
         dim = self.geometry.mesh.topology.dim - 1
-        return dolfinx.fem.locate_dofs_topological(self._subspace(field), dim, self.geometry.boundaries[boundary])
+        facets = self.geometry.boundaries[boundary]
+        dofs: npt.NDArray[np.int32] = dolfinx.fem.locate_dofs_topological(self._subspace(field), dim, facets)
+        return dofs
 
     @property
     def sizes(self) -> dict[str, int]:
@@ -230,8 +165,8 @@ class Problem:
 
     def apply(self, travel: float) -> None:
         """Set tractions and prescribed values to those at a travel (m) along the path."""
-        for condition, value in zip(self._tractions, self._traction_values, strict=True):
-            value.value[:] = condition.value(travel)
+        for traction, value in self._form.tractions:
+            value.value[:] = traction.value(travel)
         for prescribed, constant in zip(self._prescribed, self._values, strict=True):
             constant.value = prescribed.value(travel)
 
@@ -255,7 +190,7 @@ class Problem:
             adapt: whether points may take more substeps where their error estimate asks for it.
         """
         with self.stopwatch("strains"):
-            evaluate(self._strains, self.geometry.mesh, self.state.cells, self._increments)
+            evaluate(self._form.increments, self.geometry.mesh, self.state.cells, self._increments)
         with self.stopwatch("constitutive update"):
             outcome = self.state.update(self._increments, adapt=adapt)
         gravest = int(self.comm.allreduce(outcome.code, op=MPI.MAX))
@@ -273,7 +208,7 @@ class Problem:
     def assemble_residual(self, b: PETSc.Vec) -> None:
         """Assemble the out-of-balance forces; prescribed entries hold unknown minus prescribed value."""
         with self.stopwatch("residual assembly"):
-            _assemble(b, self._residual_form)
+            _assemble(b, self._form.residual)
             own = self.space.dofmap.index_map.size_local * self.space.dofmap.index_map_bs
             for dofs, constant in zip(self._dofs, self._values, strict=True):
                 mine = dofs[dofs < own]
@@ -283,16 +218,16 @@ class Problem:
         """Assemble the derivative of the residual, with unit rows and zero columns at prescribed entries."""
         with self.stopwatch("Jacobian assembly"):
             a.zeroEntries()
-            dolfinx.fem.petsc.assemble_matrix(a, self._jacobian_form, bcs=self._bcs)
+            dolfinx.fem.petsc.assemble_matrix(a, self._form.jacobian, bcs=self._bcs)
             a.assemble()
 
     def assemble_prediction(self, b: PETSc.Vec) -> None:
         """Right-hand side of a linear step from the unknown at hand to the prescribed values and tractions."""
         with self.stopwatch("residual assembly"):
-            _assemble(b, self._residual_form, ghosts=False)
+            _assemble(b, self._form.residual, ghosts=False)
             with b.localForm() as local:
                 local.scale(-1.0)
-            dolfinx.fem.petsc.apply_lifting(b, [self._jacobian_form], [self._bcs], x0=[self.unknown.x.petsc_vec])
+            dolfinx.fem.petsc.apply_lifting(b, [self._form.jacobian], [self._bcs], x0=[self.unknown.x.petsc_vec])
             b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
             dolfinx.fem.petsc.set_bc(b, self._bcs, x0=self.unknown.x.petsc_vec)
 
@@ -303,7 +238,7 @@ class Problem:
 
         Per unit of area in a layer (Pa), per unit of thickness in a plane (N/m); positive along the axes.
         """
-        _assemble(self.vector, self._residual_form)
+        _assemble(self.vector, self._form.residual)
         own = self.vector.array_r
         return {
             (c.boundary, c.field): float(self.comm.allreduce(own[dofs[dofs < len(own)]].sum(), op=MPI.SUM))
@@ -312,7 +247,7 @@ class Problem:
 
     def force_scale(self) -> float:
         """Norm of the internal forces, boundaries included: what an out-of-balance force is compared with."""
-        _assemble(self.vector, self._internal_form)
+        _assemble(self.vector, self._form.internal)
         return float(self.vector.norm())
 
     # -- commit and roll back ----------------------------------------------------------------------------------------
@@ -326,17 +261,6 @@ class Problem:
         """Drop the trial fields and state."""
         self.unknown.x.array[:] = self.committed.x.array
         self.state.roll_back()
-
-
-def _element(mesh: dolfinx.mesh.Mesh, polar: bool) -> basix.ufl._ElementBase:
-    """Linear displacement and, in a polar continuum, linear rotation."""
-    cell, gdim = mesh.basix_cell(), mesh.geometry.dim
-    components = 3 if gdim == 3 else 2
-    displacement = basix.ufl.element("Lagrange", cell, 1, shape=(components,))
-    if not polar:
-        return displacement
-    rotation = basix.ufl.element("Lagrange", cell, 1, shape=(3,) if gdim == 3 else None)
-    return basix.ufl.mixed_element([displacement, rotation])
 
 
 def _assemble(b: PETSc.Vec, form: dolfinx.fem.Form, *, ghosts: bool = True) -> None:

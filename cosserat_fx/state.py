@@ -20,7 +20,7 @@ from cosserat_fx.material import Material
 from cosserat_fx.typing import Array
 from cosserat_fx.update import build_update, compile_update
 
-MAX_SUBSTEPS = 1000
+MAX_SUBSTEPS = 200
 
 
 class Outcome(NamedTuple):
