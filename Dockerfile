@@ -50,5 +50,7 @@ RUN install --directory --mode=1777 /var/cache/cosserat_fx /out
 WORKDIR /opt/cosserat_fx
 COPY . .
 RUN python3 -m pip install --no-deps --no-build-isolation --no-index --break-system-packages --root-user-action=ignore --editable .
+# Compiled once here, so that no run in a container starts by compiling.
+RUN cosserat-fx check demos/layer_medium_rough.toml && chmod -R a+rwX /var/cache/cosserat_fx
 
 CMD ["cosserat-fx", "run", "demos/layer_medium_rough.toml", "--out", "/out/layer_medium_rough", "--overwrite"]

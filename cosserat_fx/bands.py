@@ -27,6 +27,10 @@ class BandMetrics:
     shear strain is nearly homogeneous, so that it nowhere falls below half its maximum, the band is the whole layer.
     The state in the middle is interpolated linearly at ``centre_m``.
 
+    A band that a wall cuts short loses its outer half but widens its inner one, so that its thickness says little about
+    how much of the layer takes part. The dilated zone does: it lies between the outermost points whose void ratio is
+    half-way between the smallest and the largest of the layer, and is what looks light in the source paper's figure 2.
+
     Attributes:
         position_m: height of the point with the largest |shear strain|.
         relative_position: that height over the height of the layer, 0 at the bottom, 1 at the top.
@@ -36,6 +40,9 @@ class BandMetrics:
         thickness_m: distance of the edges.
         thickness_d50: the same in mean grain diameters.
         touches: the wall which the band reaches: there the edge is the wall.
+        dilated_lower_m: height of the lower edge of the dilated zone.
+        dilated_upper_m: height of its upper edge.
+        dilated_thickness_d50: their distance in mean grain diameters.
         shear_strain_max: the largest |shear strain|.
         void_ratio: in the middle.
         critical_void_ratio: in the middle, at the pressure there.
@@ -56,6 +63,9 @@ class BandMetrics:
     thickness_m: float
     thickness_d50: float
     touches: Literal["bottom", "top", "both"] | None
+    dilated_lower_m: float
+    dilated_upper_m: float
+    dilated_thickness_d50: float
     shear_strain_max: float
     void_ratio: float
     critical_void_ratio: float
@@ -123,18 +133,19 @@ def band_metrics(profile: Columns, critical_void_ratio: ArrayLike, *, d50: float
     peak = int(np.argmax(strain))
     if not strain[peak] > 0.0:
         raise ValueError("there is no band where the shear strain is zero everywhere")
-    half = 0.5 * strain[peak]
-    below = _crossing(y[peak::-1], strain[peak::-1], half)
-    above = _crossing(y[peak:], strain[peak:], half)
-    lower, upper = 0.0 if below is None else below, height if above is None else above
+    lower, upper = _edges(y, strain, 0.5 * strain[peak], peak, peak, height)
     centre = 0.5 * (lower + upper)
+    void_ratio = profile["void_ratio"]
+    dilated = 0.5 * (np.min(void_ratio) + np.max(void_ratio))
+    loose = np.flatnonzero(void_ratio >= dilated)
+    dilated_lower, dilated_upper = _edges(y, void_ratio, dilated, loose[0], loose[-1], height)
 
     critical = np.broadcast_to(np.asarray(critical_void_ratio, dtype=np.float64), y.shape)
     e, e_c, s11, s22, s33, s12 = (
         float(np.interp(centre, y, column))
-        for column in (profile["void_ratio"], critical, *(profile[f"s{ij}_Pa"] for ij in ("11", "22", "33", "12")))
+        for column in (void_ratio, critical, *(profile[f"s{ij}_Pa"] for ij in ("11", "22", "33", "12")))
     )
-    loosest = int(np.argmax(profile["void_ratio"]))
+    loosest = int(np.argmax(void_ratio))
     return BandMetrics(
         position_m=float(y[peak]),
         relative_position=float(y[peak] / height),
@@ -143,7 +154,10 @@ def band_metrics(profile: Columns, critical_void_ratio: ArrayLike, *, d50: float
         upper_m=upper,
         thickness_m=upper - lower,
         thickness_d50=(upper - lower) / d50,
-        touches=_touches(bottom=below is None, top=above is None),
+        touches=_touches(bottom=lower == 0.0, top=upper == height),
+        dilated_lower_m=dilated_lower,
+        dilated_upper_m=dilated_upper,
+        dilated_thickness_d50=(dilated_upper - dilated_lower) / d50,
         shear_strain_max=float(strain[peak]),
         void_ratio=e,
         critical_void_ratio=e_c,
@@ -151,9 +165,9 @@ def band_metrics(profile: Columns, critical_void_ratio: ArrayLike, *, d50: float
         s11_over_s22=s11 / s22,
         s33_over_s22=s33 / s22,
         s12_Pa=s12,
-        void_ratio_max=float(profile["void_ratio"][loosest]),
+        void_ratio_max=float(void_ratio[loosest]),
         void_ratio_max_y_m=float(y[loosest]),
-        void_ratio_over_critical_max=float(np.max(profile["void_ratio"] / critical)),
+        void_ratio_over_critical_max=float(np.max(void_ratio / critical)),
     )
 
 
@@ -197,13 +211,19 @@ def wall_travel(history: Columns) -> Array:
     return history["top_displacement_m"] - history["bottom_displacement_m"]
 
 
-def _crossing(y: Array, strain: Array, level: float) -> float | None:
-    """Where the strain, linear between the points, first falls below the level on the way; None if it never does."""
-    lower = np.flatnonzero(strain < level)
+def _edges(y: Array, value: Array, level: float, first: int, last: int, height: float) -> tuple[float, float]:
+    """Edges of the zone around the points first to last where the level is reached; a wall where it is not left."""
+    lower = _crossing(y[first::-1], value[first::-1], level, 0.0)
+    return lower, _crossing(y[last:], value[last:], level, height)
+
+
+def _crossing(y: Array, value: Array, level: float, wall: float) -> float:
+    """Where the value, linear between the points, first falls below the level on the way to the wall; or the wall."""
+    lower = np.flatnonzero(value < level)
     if lower.size == 0:
-        return None
+        return wall
     after = int(lower[0])
-    share = (strain[after - 1] - level) / (strain[after - 1] - strain[after])
+    share = (value[after - 1] - level) / (value[after - 1] - value[after])
     return float(y[after - 1] + share * (y[after] - y[after - 1]))
 
 

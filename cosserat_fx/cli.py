@@ -6,15 +6,21 @@ and everything computed so far on disk. Modules that need DOLFINx are imported b
 
 from __future__ import annotations
 
+import os
 import sys
+import traceback
+from contextlib import ExitStack, redirect_stderr, redirect_stdout
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 from rich.console import Console
 
 from cosserat_fx.results import OutputError
 from cosserat_fx.scene import Scene, SceneError, load_scene
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
 
 BAD_INPUT = 2
 STOPPED = 3
@@ -46,25 +52,22 @@ def run(
     options = _petsc_options(context.args)
     loaded = _load(scene, overrides)
     _need_dolfinx()
-    from cosserat_fx._compat import MPI
     from cosserat_fx.run import run as run_scene
 
     console = _console()
     try:
         ledger = run_scene(loaded, out, overwrite=overwrite, console=console, options=options)
-    except OutputError as error:
+    except (OutputError, SceneError) as error:
         _refuse(str(error))
-    if MPI.COMM_WORLD.rank == 0:
-        for warning in ledger.warnings:
-            print(f"warning: {warning}", file=sys.stderr)
-        if ledger.reason:
-            print(f"stopped early: {ledger.reason}. What was computed is in {out}.", file=sys.stderr)
-        else:
-            console.print(
-                f"done: {ledger.steps} steps, {ledger.iterations} Newton iterations, {ledger.cutbacks} cutbacks; "
-                f"see {out}",
-                highlight=False,
-            )
+    for warning in ledger.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    if ledger.reason:
+        print(f"stopped early: {ledger.reason}. What was computed is in {out}.", file=sys.stderr)
+    else:
+        console.print(
+            f"done: {ledger.steps} steps, {ledger.iterations} Newton iterations, {ledger.cutbacks} cutbacks; see {out}",
+            highlight=False,
+        )
     raise typer.Exit(STOPPED if ledger.reason else 0)
 
 
@@ -109,8 +112,21 @@ def info() -> None:
 
 
 def main() -> None:
-    """Entry point of the console script."""
-    app()
+    """Entry point of the console script. Of several ranks the first one speaks; what breaks one of them ends all."""
+    ranks = _ranks()
+    if ranks is None or ranks.size == 1:
+        app()
+        return
+    with ExitStack() as silence:
+        if ranks.rank > 0:
+            nowhere = silence.enter_context(Path(os.devnull).open("w"))
+            silence.enter_context(redirect_stdout(nowhere))
+            silence.enter_context(redirect_stderr(nowhere))
+        try:
+            app()
+        except Exception:
+            traceback.print_exc(file=sys.__stderr__)
+            ranks.Abort(1)  # the others would wait for this one for ever
 
 
 def _load(file: Path, overrides: list[str]) -> Scene:
@@ -153,26 +169,23 @@ def _need_dolfinx() -> None:
 
 
 def _console() -> Console:
-    """The terminal of the first rank, or a log file, in which lines are left as long as they are."""
-    from cosserat_fx._compat import MPI
-
-    console = Console(quiet=MPI.COMM_WORLD.rank != 0)
+    """The terminal, or a log file, in which lines are left as long as they are."""
+    console = Console()
     if not console.is_terminal:
         console.width = 160
     return console
 
 
 def _refuse(message: str) -> NoReturn:
-    """Print one message, on the first rank only, and leave with the status of bad input."""
-    if _rank() == 0:
-        print(f"cosserat-fx: {message}", file=sys.stderr)
+    """Print one message and leave with the status of bad input."""
+    print(f"cosserat-fx: {message}", file=sys.stderr)
     raise typer.Exit(BAD_INPUT)
 
 
-def _rank() -> int:
-    """This process's rank, without need of MPI where DOLFINx is not installed."""
+def _ranks() -> MPI.Intracomm | None:
+    """All ranks, or None where DOLFINx, and MPI with it, may not be installed."""
     try:
         from mpi4py import MPI
     except ImportError:
-        return 0
-    return int(MPI.COMM_WORLD.rank)
+        return None
+    return MPI.COMM_WORLD

@@ -106,6 +106,25 @@ class RunFolder:
         return self.path / "figures"
 
     @classmethod
+    def check(cls, path: Path, overwrite: bool) -> Self:
+        """Say whether a run may be written to a folder, without touching anything.
+
+        Args:
+            path: the folder; it need not exist.
+            overwrite: whether an earlier run there may be replaced.
+
+        Raises:
+            OutputError: the path is no folder, holds something other than a run, holds a run that may not be
+                replaced, or cannot be written.
+        """
+        folder = cls(path)
+        try:
+            _check_free(folder, overwrite)
+        except OSError as error:
+            raise OutputError(f"output folder {path}: cannot be written: {error.strerror or error}") from error
+        return folder
+
+    @classmethod
     def create(cls, path: Path, overwrite: bool) -> Self:
         """Make the folder of a new run: headers only and a summary that says ``running``.
 
@@ -117,12 +136,10 @@ class RunFolder:
             overwrite: whether an earlier run there may be replaced.
 
         Raises:
-            OutputError: the path is no folder, holds something other than a run, holds a run that may not be
-                replaced, or cannot be written.
+            OutputError: as :meth:`check` says, or the folder cannot be written after all.
         """
-        folder = cls(path)
+        folder = cls.check(path, overwrite)
         try:
-            _check_free(folder, overwrite)
             path.mkdir(parents=True, exist_ok=True)
             folder.write_summary({"format": FORMAT, "status": "running", "reason": None})
             for old in (folder.fields, folder.figures):

@@ -12,7 +12,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from cosserat_fx._compat import MPI
+from cosserat_fx._compat import MPI, PETSc
 from cosserat_fx.bands import band_metrics, friction_metrics
 from cosserat_fx.effects import audit, effects
 from cosserat_fx.fields import FieldWriter
@@ -23,8 +23,8 @@ from cosserat_fx.observation import Columns, LayerObserver
 from cosserat_fx.parallel import on_first_rank
 from cosserat_fx.plots import draw_all
 from cosserat_fx.progress import RunProgress
-from cosserat_fx.results import FORMAT, RunFolder, read_run
-from cosserat_fx.scene import Scene
+from cosserat_fx.results import FORMAT, OutputError, RunFolder, read_run
+from cosserat_fx.scene import Scene, SceneError
 from cosserat_fx.stepping import Step, SteppingError
 from cosserat_fx.versions import versions
 
@@ -71,26 +71,42 @@ def run(
         The totals; ``reason`` tells whether and why the run stopped early.
 
     Raises:
-        OutputError: the folder cannot be made or written.
+        OutputError: the folder cannot be made.
+        SceneError: PETSc refuses an option.
     """
     start = perf_counter()
     console = console if console is not None and comm.rank == 0 else Console(quiet=True)
+    on_first_rank(comm, lambda: RunFolder.check(out, overwrite))
+    try:
+        layer = build(scene, comm, dict(options or {}))
+    except PETSc.Error as error:
+        raise SceneError(f"solver.petsc: {_told_by(error)}") from error
     folder = on_first_rank(comm, lambda: RunFolder.create(out, overwrite))
-    layer = build(scene, comm, dict(options or {}))
-    recorder = Recorder(layer, folder)
+    recorder = Recorder(layer, folder, start)
     recorder.summarise("running")
     console.print(describe(layer))
     layer.problem.stopwatch.seconds["set-up"] = perf_counter() - start
-    recorder.start()
+    ledger = recorder.ledger
     try:
+        recorder.start()
         with RunProgress(console, layer.path.length) as progress:
             for step in layer.stepper:
                 recorder.record(step)
                 progress.report(step)
-    except SteppingError as failure:
-        recorder.ledger.reason = str(failure)
-    recorder.finish(perf_counter() - start)
-    return recorder.ledger
+    except (SteppingError, OutputError) as failure:
+        ledger.reason = str(failure)
+    except PETSc.Error as error:
+        ledger.reason = _told_by(error)
+    try:
+        recorder.finish()
+    except OutputError as failure:
+        ledger.reason = ledger.reason or str(failure)
+    return ledger
+
+
+def _told_by(error: PETSc.Error) -> str:
+    """What PETSc says, without the trace of calls that it puts first."""
+    return f"PETSc says: {str(error).splitlines()[-1].partition('] ')[2]}"
 
 
 def describe(layer: Layer) -> Table:
@@ -111,14 +127,16 @@ def _sizes_line(layer: Layer) -> str:
 class Recorder:
     """Writes what a run's folder holds as the run goes on."""
 
-    def __init__(self, layer: Layer, folder: RunFolder) -> None:
+    def __init__(self, layer: Layer, folder: RunFolder, start: float) -> None:
         """Prepare to observe.
 
         Args:
             layer: what is run.
             folder: the run's folder, just created.
+            start: when the run began, by ``perf_counter`` (s).
         """
         self.ledger = Ledger()
+        self._start = start
         self._layer, self._folder = layer, folder
         self._scene, self._comm = layer.scene, layer.problem.comm
         self._observer = LayerObserver(layer)
@@ -150,28 +168,25 @@ class Recorder:
                 self._write_fields(step.number, step.travel)
             self._step, self._travel = step.number, step.travel
 
-    def finish(self, seconds: float) -> None:
+    def finish(self) -> None:
         """Write the summary and draw the figures."""
         self.ledger.warnings += audit(self._scene, self.ledger.max_shear_strain)
         if self.ledger.steps:
             self._profile = self._observer.profile(self._step, self._travel)
         status = "done" if self.ledger.reason is None else "stopped"
-        self.summarise(status, seconds)
+        self.summarise(status)
         if self._scene.output.figures and self.ledger.steps:
             with self._layer.problem.stopwatch("figures"):
                 on_first_rank(self._comm, lambda: draw_all(self._folder.path))
-            self.summarise(status, seconds)
+            self.summarise(status)
 
-    def summarise(self, status: str, seconds: float | None = None) -> None:
+    def summarise(self, status: str) -> None:
         """Write run.json, on rank 0, which needs no other rank for it."""
-        on_first_rank(self._comm, lambda: self._folder.write_summary(self._summary(status, seconds)))
+        on_first_rank(self._comm, lambda: self._folder.write_summary(self._summary(status)))
 
-    def _summary(self, status: str, seconds: float | None) -> dict[str, Any]:
+    def _summary(self, status: str) -> dict[str, Any]:
         problem, scene, ledger = self._layer.problem, self._scene, self.ledger
-        watch = problem.stopwatch.seconds
-        phases = {name: round(value, 6) for name, value in sorted(watch.items()) if name != "Newton"}
-        if seconds is not None:
-            phases["whole run"] = round(seconds, 6)
+        phases = problem.stopwatch.seconds | {"whole run": perf_counter() - self._start}
         summary: dict[str, Any] = {
             "format": FORMAT,
             "status": status,
@@ -185,7 +200,7 @@ class Recorder:
             "steps": ledger.steps,
             "newton_iterations": ledger.iterations,
             "cutbacks": ledger.cutbacks,
-            "seconds": phases,
+            "seconds": {name: round(seconds, 6) for name, seconds in sorted(phases.items())},
             "calls": dict(sorted(problem.stopwatch.calls.items())),
             "warnings": ledger.warnings,
         }

@@ -113,12 +113,13 @@ class QuadratureState:
         """Integrate the law from the committed state over an increment into the trial state and tangent.
 
         Args:
-            increments: (m, inputs) strain, curvature (1/m) and spin increments of this rank's own points.
+            increments: (m, inputs) strain, curvature (1/m) and spin increments of this rank's own points, or of
+                the first m of them.
             adapt: whether the number of substeps may grow where the error estimate asks for it.
         """
         code, row = self._update(
             increments,
-            self.points,
+            self.points[: len(increments)],
             self.forces_n,
             self.e_n,
             self._forces,

@@ -9,19 +9,30 @@ from time import perf_counter
 
 
 class Stopwatch:
-    """Adds up wall seconds and calls by phase."""
+    """Adds up wall seconds and calls by phase.
+
+    A phase inside another one is taken out of the outer one, so that all phases together are no more than the whole.
+
+    Attributes:
+        seconds: by phase.
+        calls: by phase.
+    """
 
     def __init__(self) -> None:
         """Start with no phases."""
         self.seconds: defaultdict[str, float] = defaultdict(float)
         self.calls: defaultdict[str, int] = defaultdict(int)
+        self._inside = 0.0
 
     @contextmanager
     def __call__(self, phase: str) -> Iterator[None]:
         """Time the body of a ``with`` statement as part of a phase."""
+        before, self._inside = self._inside, 0.0
         start = perf_counter()
         try:
             yield
         finally:
-            self.seconds[phase] += perf_counter() - start
+            seconds = perf_counter() - start
+            self.seconds[phase] += seconds - self._inside
             self.calls[phase] += 1
+            self._inside = before + seconds

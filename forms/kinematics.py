@@ -9,7 +9,7 @@ zeros. The second index of a tensor is the derivative.
     \epsilon_{ij} = u_{i,j} + e_{kij} w_k, \qquad \kappa_{ij} = w_{i,j}
 
 Finite increments are taken on the configuration half-way through the step (``F_m``), which makes them second-order
-accurate and exact for the volume of a layer:
+accurate; in a layer and a plane the change of volume is exact, J - J_n = J_m tr(d_eps):
 
 .. math::
 

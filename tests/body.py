@@ -13,6 +13,7 @@ from cosserat_fx._compat import MPI, dolfinx, evaluate
 from cosserat_fx.forms import balance, kinematics
 from cosserat_fx.layout import Dimension, layout
 from cosserat_fx.typing import Array
+from cosserat_fx.weakform import element
 
 
 def mesh(dimension: Dimension, cells: tuple[int, ...], size: tuple[float, ...]) -> dolfinx.mesh.Mesh:
@@ -51,13 +52,7 @@ class Body:
     ) -> None:
         self.mesh, self.dimension, self.finite = mesh, dimension, finite
         self.layout = layout(dimension, polar=polar)
-        cell = mesh.basix_cell()
-        solid = dimension == "solid"
-        element = displacement = basix.ufl.element("Lagrange", cell, 1, shape=(3 if solid else 2,))
-        if polar:
-            rotation = basix.ufl.element("Lagrange", cell, 1, shape=(3,) if solid else None)
-            element = basix.ufl.mixed_element([displacement, rotation])
-        self.space = dolfinx.fem.functionspace(mesh, element)
+        self.space = dolfinx.fem.functionspace(mesh, element(mesh, polar=polar))
         self.unknown = dolfinx.fem.Function(self.space)
         self.committed = dolfinx.fem.Function(self.space)
         self._tabulate_dofs()
@@ -74,7 +69,7 @@ class Body:
         strain, curvature = kinematics.virtual_strain(v, q, u, dimension, finite=finite)
         self._virtual = kinematics.pack((strain, self.layout.strain), (curvature, self.layout.curvature))
 
-        self._rule_points = basix.make_quadrature(cell, degree)[0]
+        self._rule_points = basix.make_quadrature(mesh.basix_cell(), degree)[0]
         self._dx = ufl.Measure("dx", mesh, metadata={"quadrature_degree": degree, "quadrature_scheme": "default"})
         self.forces = self._quadrature_function(degree, (len(self.layout.forces),))
         self.tangent = self._quadrature_function(degree, (len(self.layout.strain_slots), self.layout.n_inputs))
@@ -101,8 +96,8 @@ class Body:
             self.position[dofs] = collapsed.tabulate_dof_coordinates()[:, :gdim]
 
     def _quadrature_function(self, degree: int, shape: tuple[int, ...]) -> dolfinx.fem.Function:
-        element = basix.ufl.quadrature_element(self.mesh.basix_cell(), value_shape=shape, degree=degree)
-        return dolfinx.fem.Function(dolfinx.fem.functionspace(self.mesh, element))
+        pointwise = basix.ufl.quadrature_element(self.mesh.basix_cell(), value_shape=shape, degree=degree)
+        return dolfinx.fem.Function(dolfinx.fem.functionspace(self.mesh, pointwise))
 
     # -- values at the quadrature points, (points, ...), cell by cell ------------------------------------------------
 
@@ -163,11 +158,11 @@ class Body:
 
     def residual(self) -> Array:
         """Internal work of the forces, assembled."""
-        return dolfinx.fem.assemble_vector(self._residual_form).array.copy()
+        return np.array(dolfinx.fem.assemble_vector(self._residual_form).array)
 
     def jacobian(self) -> Array:
         """Linearised work of the forces and the tangent, assembled, as a dense matrix."""
-        return dolfinx.fem.assemble_matrix(self._jacobian_form).to_dense()
+        return np.asarray(dolfinx.fem.assemble_matrix(self._jacobian_form).to_dense())
 
     # -- random states -----------------------------------------------------------------------------------------------
 

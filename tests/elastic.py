@@ -5,7 +5,7 @@ import ufl
 from body import Body
 from ufl.core.expr import Expr
 
-from cosserat_fx._compat import MPI, dolfinx
+from cosserat_fx._compat import dolfinx
 from cosserat_fx.forms import kinematics, loads
 from cosserat_fx.typing import Array
 
@@ -76,4 +76,3 @@ def solve(body: Body) -> Array:
     errors = [u - exact.displacement, w - exact.rotation]
     norms = [ufl.inner(e, e) * dx for e in errors] + [ufl.inner(ufl.grad(e), ufl.grad(e)) * dx for e in errors]
     return np.sqrt([dolfinx.fem.assemble_scalar(dolfinx.fem.form(norm)) for norm in norms])
-

@@ -174,23 +174,27 @@ def discrete(
 
     def solve_stage(base: Tensor, guess: Tensor, time: float) -> Tensor:
         x, r = guess, residual(guess, base, time)
-        for iteration in range(60):
-            size = 1e-30 * np.abs(x[:, 0] + x[:, 4] + x[:, 8])
-            perturbed = np.real(x) + 1j * size[:, None] * np.eye(18)[:, None, :]
-            jacobian = np.moveaxis(np.imag(residual(perturbed, base, time)) / size[:, None], 0, -1)
+        for _ in range(40):
+            size = np.abs(np.real(x[:, 0] + x[:, 4] + x[:, 8]))
+            # A perturbation far larger than that of a complex increment, far smaller than any rounding.
+            perturbed = np.real(x) + 1e-30j * size[:, None] * np.eye(18)[:, None, :]
+            jacobian = np.moveaxis(np.imag(residual(perturbed, np.real(base), time)) / (1e-30 * size[:, None]), 0, -1)
+            usable = np.isfinite(jacobian).all(axis=(1, 2)) & np.isfinite(r).all(axis=1)
+            jacobian[~usable], r[~usable] = np.eye(18), np.nan
             correction = np.linalg.solve(jacobian, r[..., None])[..., 0]
-            step = np.ones((m, 1))
-            for _ in range(20):
-                candidate = x - step * correction
-                after = residual(candidate, base, time)
-                worse = ~(np.linalg.norm(after, axis=1) <= np.linalg.norm(r, axis=1) + 1e18 * size)
-                step[worse] /= 2
-                if not worse.any():
+            share = np.ones((m, 1))
+            for _ in range(12):
+                r = residual(x - share * correction, base, time)
+                outside = ~np.isfinite(r).all(axis=1)
+                if not (outside & usable).any():
                     break
-            x, r = candidate, after
-            if iteration and np.all(np.abs(correction).max(axis=1) < 1e30 * 1e-13 * size):
-                return x
-        raise ArithmeticError("Newton's method did not converge")
+                share[outside] /= 2
+            x = x - share * correction
+            small = np.abs(correction).max(axis=1) < 1e-13 * size
+            if np.all(small | ~usable):
+                break
+        x[~small] = np.nan
+        return x
 
     y = np.concatenate([state.stress.reshape(m, 9), state.couple.reshape(m, 9) / c.d50], axis=1)
     stages = []

@@ -1,0 +1,26 @@
+"""Runs that many tests look at. DOLFINx is imported by the fixtures that need it, not here."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from cosserat_fx.results import Run
+
+
+@pytest.fixture(scope="session")
+def default_runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Run]:
+    """The two scenes of the demos as they are, without figures and fields, by the kind of their top wall."""
+    from layers import WALLS, walk
+
+    folder = tmp_path_factory.mktemp("default")
+    return {wall: walk(folder / wall, wall) for wall in WALLS}
+
+
+@pytest.fixture(params=["very_rough", "medium_rough"])
+def default_run(request: pytest.FixtureRequest, default_runs: dict[str, Run]) -> Run:
+    """Each of them in turn."""
+    run: Run = default_runs[request.param]
+    return run
