@@ -68,7 +68,11 @@ class Report:
         for c in self._converged:
             unit, scale, digits = ("mm", 1e3, 4) if QUANTITIES[c.quantity] == "m" else ("Pa", 1.0, 1)
             parts = [f"{scale * part:.{digits + 1}f}" for part in (c.step_error, c.mesh_error, c.local_error)]
-            shown = [f"{scale * c.value:.{digits}f}", f"{scale * c.error:.{digits}f}", f"{100 * c.error / c.value:.4f}"]
+            shown = [
+                f"{scale * c.value:.{digits}f}",
+                f"{scale * c.error:.{digits + 1}f}",
+                f"{100 * c.error / c.value:.4f}",
+            ]
             rates = ["" if math.isnan(rate) else f"{rate:.2f}" for rate in (c.step_rate, c.mesh_rate)]
             rows.append([c.wall, f"{c.quantity} ({unit})", *shown, *parts, *rates])
         return _table([*heads, "rate in steps", "rate in mesh"], rows)
@@ -117,8 +121,12 @@ _EFFORT = ["s12 uneven (% of p)", "s21 jump (% of p)", "steps", "iterations", "c
 
 def _effort(run: Measured, default: Measured) -> list[str]:
     counts = [str(run.steps), str(run.iterations), str(run.cutbacks)]
-    jump = f"{run.jump:.2g}" if run.points > 1 else "none"
-    return [f"{run.unevenness:.2g}", jump, *counts, f"{run.seconds / default.seconds:.1f}"]
+    jump = _small(run.jump) if run.points > 1 else "none"
+    return [_small(run.unevenness), jump, *counts, f"{run.seconds / default.seconds:.1f}"]
+
+
+def _small(percent: float) -> str:
+    return f"{percent:.1f}" if percent > 0.05 else f"{percent:.0e}"
 
 
 def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

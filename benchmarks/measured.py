@@ -113,15 +113,15 @@ def limit(values: Sequence[float]) -> tuple[float, float, float]:
 
     Returns:
         Richardson's extrapolation where the last three values show a rate between 0.5 and 2.5, otherwise the last
-        value; a bound of its error, the larger of the last difference and the extrapolation's correction; the rate,
-        or nan.
+        value; a bound of its error; the rate or nan. The bound is the largest of the last difference, a quarter of
+        the one before (the last may be small by chance) and the extrapolation's correction.
     """
     before, last = values[-2] - values[-3], values[-1] - values[-2]
     ratio = before / last if last else math.inf
-    if not 2**0.5 < ratio < 2**2.5:
-        return values[-1], abs(last), math.nan
-    correction = last / (ratio - 1)
-    return values[-1] + correction, max(abs(last), abs(correction)), math.log2(ratio)
+    clean = 2**0.5 < ratio < 2**2.5
+    correction = last / (ratio - 1) if clean else 0.0
+    error = max(abs(last), abs(before) / 4, abs(correction))
+    return values[-1] + correction, error, math.log2(ratio) if clean else math.nan
 
 
 def walk(layer: Layer, stepper: Stepper) -> dict[str, Any]:

@@ -47,5 +47,6 @@ def evaluate(
         cells: the cells.
         values: (cells * points, size), contiguous, overwritten.
     """
-    shape = (len(cells), -1) if _FLAT_EXPRESSIONS else (len(cells), expression.X().shape[0], values.shape[-1])
+    points, size = expression.X().shape[0], values.shape[-1]
+    shape = (len(cells), points * size) if _FLAT_EXPRESSIONS else (len(cells), points, size)
     expression.eval(mesh, cells, values.reshape(shape))

@@ -5,11 +5,8 @@ LAPACK would allocate and cost more in its call than the solution of 7 equations
 
 from __future__ import annotations
 
-from numba import njit
-
+from cosserat_fx.compiled import inline
 from cosserat_fx.typing import Array, IntArray
-
-inline = njit(forceinline=True, error_model="numpy")
 
 
 @inline

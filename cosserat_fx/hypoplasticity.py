@@ -27,13 +27,11 @@ from math import exp, log, sqrt
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from cosserat_fx.compiled import fingerprint, inline
 from cosserat_fx.layout import Layout
 from cosserat_fx.material import KernelConstants
 from cosserat_fx.typing import Array, IntArray
-
-inline = njit(forceinline=True, error_model="numpy")
 
 
 class Status(IntEnum):
@@ -78,6 +76,7 @@ class Tables(NamedTuple):
         slots: force component that is conjugate to each strain and curvature increment.
         spin_row, spin_column, spin_of, spin_sign: the entries of L(W), as
             ``L[row, column] += sign * W[of]``.
+        source: digest of the compiled modules; nothing reads it, but numba's cache tells kernels by it.
     """
 
     weight: Array
@@ -90,6 +89,7 @@ class Tables(NamedTuple):
     spin_column: IntArray
     spin_of: IntArray
     spin_sign: Array
+    source: IntArray
 
 
 class LawArrays(NamedTuple):
@@ -165,6 +165,7 @@ def tables(layout: Layout, *, spin: bool) -> Tables:
         spin_column=columns.astype(np.int32),
         spin_of=ofs.astype(np.int32),
         spin_sign=signs,
+        source=fingerprint(),
     )
 
 
@@ -197,7 +198,7 @@ def critical_stress(c_phi: float, deviator: Array, gradient: Array) -> float:
             gradient has no direction.
 
     Returns:
-        a > 0, or -1 where a radicand or the denominator is not positive.
+        a > 0, or -1 where the radicand, its denominator or a itself is not positive, or not a number.
     """
     s11, s22, s33, s12, s13, s23 = deviator[0], deviator[1], deviator[2], deviator[3], deviator[4], deviator[5]
     j2 = s11 * s11 + s22 * s22 + s33 * s33 + 2.0 * (s12 * s12 + s13 * s13 + s23 * s23)
@@ -214,11 +215,11 @@ def critical_stress(c_phi: float, deviator: Array, gradient: Array) -> float:
     lode = j3 / j2
     numerator = 8.0 / 3.0 - 3.0 * (j2 + j3)
     denominator = 1.0 - 3.0 * lode
-    if numerator <= 1e-12 or denominator <= 1e-12:
+    if not (numerator > 1e-12 and denominator > 1e-12):
         return -1.0
     root = sqrt(numerator / denominator)
     norm = sqrt(j2)
-    if root <= norm:
+    if not root > norm:
         return -1.0
     # da = c_phi [ (dnumerator - root^2 ddenominator) / (2 root denominator) - dnorm ]
     half = 0.5 / (root * denominator)
@@ -250,7 +251,7 @@ def state_factors(trace: float, e: float, c: KernelConstants) -> tuple[float, fl
     shrink = exp(-compression)
     e_i = c.e_i0 * shrink
     relative = e / shrink - c.e_d0
-    if relative <= 1e-12 * c.e_d0:
+    if not relative > 1e-12 * c.e_d0:
         return 0.0, -1.0, 0.0, 0.0, 0.0, 0.0
     f_d = exp(c.alpha * log(relative / (c.e_c0 - c.e_d0)))
     f_b = c.h_s / (c.n * c.h_i) * (1.0 + e_i) / e_i * exp((1.0 - c.n) * log_pressure)

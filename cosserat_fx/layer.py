@@ -79,8 +79,8 @@ def layer_path(scene: Scene) -> Path:
         waypoints.append(Waypoint(0.0, 0.0, scene.material.d50))
     top = bottom = 0.0
     for leg in scene.legs:
-        travel = abs(leg.travel - (top - bottom)) or max(abs(leg.top - top), abs(leg.bottom - bottom))
-        waypoints.append(Waypoint(leg.top, leg.bottom, travel))
+        moves = leg.top - top, leg.bottom - bottom
+        waypoints.append(Waypoint(leg.top, leg.bottom, max(abs(moves[0]), abs(moves[1]), abs(moves[0] - moves[1]))))
         top, bottom = leg
     return Path(waypoints, initial_load=0.0 if loading else 1.0)
 

@@ -41,7 +41,7 @@ class Solution:
 
     Attributes:
         converged: whether the step is in equilibrium.
-        iterations: Newton iterations, linear predictions included.
+        iterations: Newton iterations.
         reason: why not, where it is not.
         residual: norm of the out-of-balance forces relative to that of the internal forces.
     """

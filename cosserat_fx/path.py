@@ -1,7 +1,7 @@
 """The loading path: wall displacements and normal stress as functions of the travel along it.
 
 Travel is the path's own coordinate: the relative displacement of the walls added up over all legs, whichever their
-direction (m). A leg in which the walls do not move against each other is measured by what does change.
+direction (m). Where both walls move the same way, the displacement of the faster one takes its place.
 """
 
 from __future__ import annotations

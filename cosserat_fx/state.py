@@ -7,6 +7,7 @@ writes straight into the arrays of these functions. The committed state changes 
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import prod
 from typing import NamedTuple
 
 import basix
@@ -94,7 +95,7 @@ class QuadratureState:
         self.cells = np.arange(mesh.topology.index_map(mesh.topology.dim).size_local, dtype=np.int32)
         self.points = np.ascontiguousarray(self.forces.function_space.dofmap.list[self.cells].reshape(-1))
         position = dolfinx.fem.Expression(ufl.SpatialCoordinate(mesh), self.rule_points)
-        self.coordinates = position.eval(mesh, self.cells).reshape(len(self.points), -1)
+        self.coordinates = position.eval(mesh, self.cells).reshape(len(self.points), mesh.geometry.dim)
 
     def initialise(self, stress: float, void_ratio: float) -> None:
         """Set a uniform isotropic state, committed and trial.
@@ -154,7 +155,7 @@ class QuadratureState:
     def bytes_per_point(self) -> int:
         """Memory of one point's state, tangent and bookkeeping (bytes)."""
         arrays = (self._forces, self._tangent, self.forces_n, self.e, self.e_n, self.substeps, self.status, self._error)
-        return sum(a.nbytes // max(len(a), 1) for a in arrays)
+        return sum(a.itemsize * prod(a.shape[1:]) for a in arrays)
 
 
 def _quadrature_function(

@@ -1,7 +1,9 @@
 r"""The rate law integrated over a strain increment, with the exact tangent of that integration.
 
-The increment is applied at a constant rate over a unit of pseudo-time, in equal substeps of size *h*.
-Each substep is one step of the L-stable, stiffly accurate SDIRK method of second order,
+The increment is applied at a constant rate over a unit of pseudo-time, in *K* substeps that end at the times
+:math:`(k/K)^2`: a change of direction starts with a fast transient, which small first substeps follow, while the
+method stays of second order in 1/K. Each substep, of size *h*, is one step of the L-stable, stiffly accurate SDIRK
+method of second order,
 
 .. math::
 
@@ -29,9 +31,11 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from cosserat_fx.compiled import inline
 from cosserat_fx.dense import factorise, solve
 from cosserat_fx.hypoplasticity import (
     LawArrays,
+    Point,
     Status,
     Tables,
     add_input_derivative,
@@ -41,7 +45,7 @@ from cosserat_fx.hypoplasticity import (
 )
 from cosserat_fx.layout import Layout
 from cosserat_fx.material import KernelConstants
-from cosserat_fx.typing import Array, IntArray
+from cosserat_fx.typing import Array, CodeArray, IntArray
 
 GAMMA = 1.0 - 1.0 / sqrt(2.0)
 # Weights of the quadrature through 0, gamma and 1, less those of the method.
@@ -118,15 +122,12 @@ def make_work(n: int, n_driven: int, n_spin: int) -> Work:
     )
 
 
-_inline = njit(forceinline=True, error_model="numpy")
-
-
-@_inline
-def _solve_stage(work: Work, e: float, norm: float, scale: float, c: KernelConstants, t: Tables):  # type: ignore[no-untyped-def]
+@inline
+def _solve_stage(work: Work, e: float, norm: float, scale: float, c: KernelConstants, t: Tables) -> tuple[int, Point]:
     """Newton's method for ``stage = base + scale f(stage)`` from the guess in ``work.stage``.
 
-    Corrections that leave the law's domain are halved. On success the factors of the stage matrix
-    and the law's arrays are those of the solution.
+    Corrections that leave the law's domain are halved. On success the law's arrays are those of the solution and the
+    factors of the stage matrix those of the iterate before it, which is as near as the tolerance.
 
     Returns:
         A status code and the law's scalars at the last admissible iterate.
@@ -142,9 +143,6 @@ def _solve_stage(work: Work, e: float, norm: float, scale: float, c: KernelConst
         if not factorise(work.matrix, work.pivots, n):
             return _LOCAL_NEWTON, p
         solve(work.matrix, work.pivots, work.correction, n, 1)
-        largest = 0.0
-        for i in range(n):
-            largest = max(largest, abs(work.correction[i, 0]))
         damping = 1.0
         for _ in range(_NEWTON_HALVINGS):
             for i in range(n):
@@ -156,13 +154,16 @@ def _solve_stage(work: Work, e: float, norm: float, scale: float, c: KernelConst
         if code != _OK:
             return code, p
         work.stage[:] = work.candidate
-        if damping == 1.0 and largest <= -_NEWTON_TOLERANCE * p.trace:
+        converged = damping == 1.0
+        for i in range(n):
+            converged = converged and abs(work.correction[i, 0]) <= -_NEWTON_TOLERANCE * p.trace
+        if converged:
             return _OK, p
     return _LOCAL_NEWTON, p
 
 
-@_inline
-def _integrate(  # type: ignore[no-untyped-def]
+@inline
+def _integrate(
     work: Work,
     n_spin: int,
     e_n: float,
@@ -172,8 +173,8 @@ def _integrate(  # type: ignore[no-untyped-def]
     want_tangent: bool,
     c: KernelConstants,
     t: Tables,
-):
-    """Advance ``work.y`` over the increment in ``work.d``, ``work.w`` by equal substeps.
+) -> tuple[int, float]:
+    """Advance ``work.y`` over the increment in ``work.d``, ``work.w`` by a number of substeps.
 
     Returns:
         A status code and the largest error estimate of a substep, relative to the trace of the stress
@@ -181,7 +182,6 @@ def _integrate(  # type: ignore[no-untyped-def]
     """
     n = len(t.weight)
     inputs = len(t.slots) + n_spin
-    h = 1.0 / substeps
     norm = 0.0
     volume = 0.0
     for i in range(n):
@@ -191,8 +191,10 @@ def _integrate(  # type: ignore[no-untyped-def]
     work.sensitivity[:] = 0.0
     worst = 0.0
     for step in range(substeps):
+        begin = (step / substeps) ** 2
+        h = ((step + 1) / substeps) ** 2 - begin
         if estimate:
-            e = (1.0 + e_n) * exp(step * h * volume) - 1.0 if evolving else e_n
+            e = (1.0 + e_n) * exp(begin * volume) - 1.0 if evolving else e_n
             code, p = rate(work.y, e, work.d, norm, work.w, c, t, work.law)
             if code != _OK:
                 return code, worst
@@ -202,7 +204,7 @@ def _integrate(  # type: ignore[no-untyped-def]
         work.stage[:] = work.y
         work.stage_sensitivity[:] = work.sensitivity
         for stage in range(2):
-            time = (step + (GAMMA if stage == 0 else 1.0)) * h
+            time = begin + (GAMMA if stage == 0 else 1.0) * h
             e = (1.0 + e_n) * exp(time * volume) - 1.0 if evolving else e_n
             code, p = _solve_stage(work, e, norm, GAMMA * h, c, t)
             if code != _OK:
@@ -269,45 +271,48 @@ def build_update(layout: Layout, *, spin: bool = True, void_ratio: bool = True) 
     n_spin = len(layout.spin)
 
     @njit(cache=True, error_model="numpy", nogil=True)
-    def update(  # type: ignore[no-untyped-def]
-        increments,
-        points,
-        forces_n,
-        e_n,
-        forces,
-        e,
-        tangent,
-        substeps,
-        status,
-        error,
-        c,
-        tolerance,
-        max_substeps,
-        adapt,
-        want_tangent,
-    ):
+    def update(
+        increments: Array,
+        points: IntArray,
+        forces_n: Array,
+        e_n: Array,
+        forces: Array,
+        e: Array,
+        tangent: Array,
+        substeps: IntArray,
+        status: CodeArray,
+        error: Array,
+        c: KernelConstants,
+        tolerance: float,
+        max_substeps: int,
+        adapt: bool,
+        want_tangent: bool,
+    ) -> tuple[int, int]:
         work = make_work(n, n_driven, n_spin)
         worst = 0
         where = -1
         for row in range(len(points)):
             q = points[row]
-            finite = True
+            size = 0.0
             work.d[:] = 0.0
             for k in range(n_driven):
                 length = 1.0 if t.slots[k] < n_stress else c.d50
                 work.d[t.slots[k]] = length * increments[row, k]
-                finite = finite and isfinite(increments[row, k])
+                size += work.d[t.slots[k]] ** 2
             for k in range(n_spin):
                 work.w[k] = increments[row, n_driven + k]
-                finite = finite and isfinite(increments[row, n_driven + k])
+                size += work.w[k] ** 2
             number = substeps[q]
+            finite = isfinite(size)
             code = _OK if finite else _NOT_FINITE
             while finite:
                 for i in range(n):
                     work.y[i] = forces_n[q, i] / (1.0 if i < n_stress else c.d50)
                 code, estimate = _integrate(work, n_spin, e_n[q], void_ratio, number, adapt, want_tangent, c, t)
-                error[q] = estimate if adapt else error[q]
-                if not adapt or (code == _OK and estimate <= tolerance):
+                if not adapt:
+                    break
+                error[q] = estimate
+                if code == _OK and estimate <= tolerance:
                     break
                 if number >= max_substeps:
                     code = _SUBSTEPS if code == _OK else code

@@ -11,6 +11,11 @@ def text(page: str) -> str:
     return (ROOT / page).read_text(encoding="utf-8")
 
 
+def words(page: str) -> str:
+    """The text with its lines joined."""
+    return " ".join(text(page).split())
+
+
 def pages() -> list[str]:
     """README, changelog and everything in docs."""
     return ["README.md", "CHANGELOG.md", *(f"docs/{page.name}" for page in sorted((ROOT / "docs").glob("*.md")))]

@@ -79,14 +79,13 @@ def usage(name: str, command: Any) -> str:
     """A command's line in the README, from what typer knows."""
     words = [f"cosserat-fx {name}"]
     for it in command.params:
-        word = (
-            f"{it.opts[0]} {it.metavar}" if it.metavar and it.param_type_name == "option" else it.metavar or it.opts[0]
-        )
+        names = it.opts[:1] if it.param_type_name == "option" else []
+        word = " ".join([*names, *filter(None, [it.metavar])])
         words.append(word if it.required else f"[{word}]")
         words[-1] += "..." if getattr(it, "multiple", False) else ""
-    return " ".join(
-        [*words, *(["[-petsc_option [VALUE]]..."] if "ignore_unknown_options" in command.context_settings else [])]
-    )
+    if "ignore_unknown_options" in command.context_settings:
+        words.append("[-petsc_option [VALUE]]...")
+    return " ".join(words)
 
 
 def test_the_command_line_is_as_told() -> None:
@@ -97,7 +96,7 @@ def test_the_command_line_is_as_told() -> None:
 
 def test_the_exit_statuses_are_as_told() -> None:
     told = f"0 when the run is done, {cli.BAD_INPUT} for bad input, with nothing written, and {cli.STOPPED} when"
-    assert told in pages.text("docs/output.md")
+    assert told in pages.words("docs/output.md")
 
 
 @dataclass(frozen=True)
@@ -291,7 +290,7 @@ def bracket(e_i0: float, e_d0: float, e_c0: float, phi_c: float, alpha: float, *
 
 
 def test_numbers_in_the_prose_of_the_scene_page() -> None:
-    page = pages.text("docs/scene.md")
+    page = pages.words("docs/scene.md")
     assert f"move by more than {100 * effects.LARGE_DISPLACEMENT:g} % of the height" in page
     assert f"warns if shear strains exceeded {100 * effects.FAIR_SMALL_STRAIN:g} %" in page
     assert "By default 10 %, 1/3, 2/3 and all of a path of one leg, or the ends of the legs." in page
@@ -320,7 +319,7 @@ def test_the_numbers_of_the_theory_page() -> None:
 def test_the_codes_of_the_theory_page() -> None:
     cells = [row for above, row in pages.rows("docs/theory.md") if above == "What can go wrong with a point"][1:]
     assert cells == [[str(int(it)), f"`{it.name}`", REASONS[it]] for it in Status]
-    assert f"From `{Status(FIRST_FAILURE).name}` on the update has failed" in pages.text("docs/theory.md")
+    assert f"From `{Status(FIRST_FAILURE).name}` on the update has failed" in pages.words("docs/theory.md")
 
 
 # -- docs/extending.md -------------------------------------------------------------------------------------------------

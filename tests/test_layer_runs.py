@@ -57,7 +57,7 @@ def test_the_wall_rises_by_what_the_sand_dilates(default_run: Run) -> None:
     The void ratio is integrated over the increments of strain, the height is a displacement: they agree to the third
     order in the increments.
     """
-    for profile in profiles(default_run):
+    for profile in default_run.profile_blocks():
         row = np.flatnonzero(default_run.history["step"] == profile["step"][0])
         dilation = np.mean((1 + profile["void_ratio"]) / (1 + VOID_RATIO)) - 1
         rise = default_run.history["height_change_m"][row] / HEIGHT
@@ -75,7 +75,7 @@ def test_states_stay_in_the_range_of_the_law(default_run: Run) -> None:
 
 
 def run_through(folder: Path, wall: str, *overrides: str) -> Run:
-    """Runs a scene and checks what holds whatever it is like: it ends, where it should, in equilibrium, within the law."""
+    """Runs a scene and checks what always holds: it ends where it should, in equilibrium and within the law's range."""
     run = walk(folder, wall, *overrides)
     summary, history, scene = run.summary, run.history, run.summary["scene"]
     assert (summary["status"], summary["reason"]) == ("done", None)
@@ -142,7 +142,7 @@ def test_under_low_and_high_pressure(wall: str, tmp_path: Path, default_runs: di
 
 @pytest.mark.parametrize("wall", WALLS)
 def test_fine_and_coarse_grains(wall: str, tmp_path: Path, default_runs: dict[str, Run]) -> None:
-    """The coarser the grains, the thicker the band and the stiffer the layer; eight grains high there is hardly a band."""
+    """The coarser the grains, the thicker the band and the stiffer the layer, up to one of eight grains."""
     fine = run_through(tmp_path / "fine", wall, "material.d50=0.2e-3")
     coarse = run_through(tmp_path / "coarse", wall, "material.d50=5e-3")
     ordered = (fine, default_runs[wall], coarse)
@@ -155,9 +155,8 @@ def test_fine_and_coarse_grains(wall: str, tmp_path: Path, default_runs: dict[st
 def test_grains_that_roll_strongly(tmp_path: Path, default_runs: dict[str, Run]) -> None:
     """w = -0.25 u1/d50 at the top: the wall is ten times smoother, the band at it a grain or two."""
     run = run_through(tmp_path / "run", "medium_rough", "walls.top.rolling=0.125")
-    top = run.profile_blocks()[-1]
-    wall_rotation = -0.25 * top["top_displacement_m"][-1] / D50
-    assert top["omega_rad"][-1] == pytest.approx(wall_rotation, rel=0.1)
+    inner, outer = run.profile_blocks()[-1]["omega_rad"][-2:]
+    assert outer + (outer - inner) / 2 == pytest.approx(-0.25 * 0.03 / D50, rel=0.05)
     assert run.summary["band"]["touches"] == "top"
     assert run.summary["band"]["thickness_d50"] < 2
     assert friction(run)[0] < friction(default_runs["medium_rough"])[0]
@@ -182,7 +181,7 @@ def test_to_and_fro(wall: str, tmp_path: Path, default_runs: dict[str, Run]) -> 
 
 @pytest.mark.parametrize("wall", WALLS)
 def test_one_target_with_a_large_first_step(wall: str, tmp_path: Path, default_runs: dict[str, Run]) -> None:
-    """A first step of 1 mm, a third of the way to the peak, costs half a per cent of the peak and nothing of the rest."""
+    """A first step of 1 mm, a third of the way to the peak, costs half a per cent of the peak and no more."""
     run = run_through(tmp_path / "run", wall, "stepping.first_step=1e-3", "output.profiles_at=[0.03]")
     assert run.history["step_size_m"][0] == 1e-3
     peak, residual = friction(default_runs[wall])
@@ -192,12 +191,14 @@ def test_one_target_with_a_large_first_step(wall: str, tmp_path: Path, default_r
 
 @pytest.mark.parametrize("wall", WALLS)
 def test_with_two_integration_points(wall: str, tmp_path: Path, default_runs: dict[str, Run]) -> None:
-    """Full integration is stiffer in what couples u1' and w: half a per cent off in the residual, and stresses zigzag."""
+    """Full integration sees u1', constant, and w, linear, in the same strain: stresses zigzag within the cells."""
     run = walk(tmp_path / "run", wall, "solver.integration_points=2")
     assert run.summary["status"] == "done"
     assert run.summary["sizes"]["quadrature_points"] == 160
     assert friction(run)[0] == pytest.approx(friction(default_runs[wall])[0], rel=0.001)
     assert friction(run)[1] == pytest.approx(friction(default_runs[wall])[1], rel=0.01)
     two, one = (it.profile_blocks()[-1] for it in (run, default_runs[wall]))
-    assert unevenness(two["s12_Pa"]) > 1e-3 > unevenness(one["s12_Pa"])
-    assert unevenness(two["s22_Pa"]) < SOLVER_TOLERANCE
+    for name in ("s12_Pa", "s22_Pa"):
+        assert unevenness(two[name]) > 0.1
+        assert unevenness(two[name].reshape(-1, 2).mean(axis=1)) < 0.002
+        assert unevenness(one[name]) < SOLVER_TOLERANCE
