@@ -7,8 +7,9 @@ more. And a state that the law cannot reach gives an infinite residual, from whi
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from weakref import WeakMethod
 
 import numpy as np
 
@@ -27,6 +28,7 @@ _DEFAULTS: dict[str, PetscOption] = {
 _ADAPTING_ITERATIONS = 2
 _RECHECKS = 3
 _PREFIX = "cosserat_"
+_set_here: set[str] = set()
 
 _REASONS = {
     value: name.lower().replace("_", " ")
@@ -83,14 +85,11 @@ class NewtonSolver:
         self._evaluated = problem.vector.duplicate()
         self._x = problem.vector.duplicate()
 
-        database = PETSc.Options(_PREFIX)
-        for key, value in {**_DEFAULTS, **(options or {})}.items():
-            if (options and key in options) or not database.hasName(key):
-                database.setValue(key, value)
+        _set_options(options or {})
         self.snes = PETSc.SNES().create(problem.comm)
         self.snes.setOptionsPrefix(_PREFIX)
-        self.snes.setFunction(self._residual, problem.vector)
-        self.snes.setJacobian(self._jacobian, problem.matrix)
+        self.snes.setFunction(_weakly(self._residual), problem.vector)
+        self.snes.setJacobian(_weakly(self._jacobian), problem.matrix)
         self.snes.setTolerances(rtol=0.0, stol=0.0, max_it=max_iterations)
         self.snes.setFromOptions()
 
@@ -167,3 +166,29 @@ class NewtonSolver:
         self._failure = failure or self._failure
         x.copy(self._evaluated)
         return failure is None
+
+
+def _set_options(options: Mapping[str, PetscOption]) -> None:
+    """Put a solver's options into PETSc's database, and take out what an earlier solver put there.
+
+    An option given here goes before one from the environment, and that before a default.
+    """
+    database = PETSc.Options(_PREFIX)
+    while _set_here:
+        database.delValue(_set_here.pop())
+    for key, value in {**_DEFAULTS, **options}.items():
+        if key in options or not database.hasName(key):
+            database.setValue(key, value)
+            _set_here.add(key)
+
+
+def _weakly(method: Callable[..., None]) -> Callable[..., None]:
+    """A callback that does not keep its object alive: PETSc's references are out of the garbage collector's sight."""
+    reference = WeakMethod(method)
+
+    def call(*arguments: object) -> None:
+        bound = reference()
+        if bound is not None:
+            bound(*arguments)
+
+    return call

@@ -31,8 +31,8 @@ class StepControl:
     first: float
     largest: float = float("inf")
     smallest: float = 0.0
-    tolerance: float = 0.1
-    strain: float = 0.3
+    tolerance: float = 0.12
+    strain: float = 0.4
     growth: float = 1.5
     max_steps: int = 100_000
 

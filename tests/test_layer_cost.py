@@ -13,6 +13,7 @@ from layers import NOTHING_TO_LOOK_AT, WALLS, demo, scene, walk
 
 from cosserat_fx._compat import MPI, dolfinx
 from cosserat_fx.layer import Layer, build
+from cosserat_fx.layout import layout
 from cosserat_fx.results import Run
 from cosserat_fx.run import run
 from cosserat_fx.scene import load_scene
@@ -32,7 +33,7 @@ def compiled_forms() -> dict[str, int]:
 def test_a_second_run_compiles_nothing(tmp_path: Path, default_runs: dict[str, Run]) -> None:
     """The forms come from the cache on disk, the kernel from this process, whatever the mesh."""
     assert default_runs
-    kernel: Any = build_update(build(scene("medium_rough"), MPI.COMM_SELF).problem.layout)
+    kernel: Any = build_update(layout("layer"), spin=True, void_ratio=True)
     forms, signatures = compiled_forms(), list(kernel.signatures)
     assert len(signatures) == 1
     assert forms
@@ -54,13 +55,15 @@ def test_a_walk_creates_no_form_space_or_matrix(monkeypatch: pytest.MonkeyPatch)
     ):
         for name in names:
             monkeypatch.setattr(owner, name, forbidden)
-    matrix, vector = layer.problem.matrix.handle, layer.problem.vector.handle
-    nonzeros = layer.problem.matrix.getInfo()["nz_used"]
     steps = iter(layer.stepper)
-    assert [next(steps).number for _ in range(3)] == [1, 2, 3]
-    assert (layer.problem.matrix.handle, layer.problem.vector.handle) == (matrix, vector)
-    info = layer.problem.matrix.getInfo()
-    assert (info["nz_used"], info["mallocs"]) == (nonzeros, 0)
+    handles, nonzeros = set(), set()
+    for _ in range(3):
+        next(steps)
+        handles.add((layer.problem.matrix.handle, layer.problem.vector.handle))
+        info = layer.problem.matrix.getInfo()
+        nonzeros.add((info["nz_allocated"], info["nz_used"], info["mallocs"]))
+    assert len(handles) == len(nonzeros) == 1
+    assert info["mallocs"] == 0
 
 
 def python_calls(layer: Layer) -> int:
