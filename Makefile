@@ -1,6 +1,8 @@
 # make demo   the medium rough layer, from its scene file to the figures
 # make test   the test suite
 # make lint   ruff and mypy
+# make bench  what accuracy costs in time, measured
+# make docs   the figures and tables of the documentation, made anew
 # Each makes the environment .venv first, once, with DOLFINx and everything else from PyPI.
 # PYTHON=/path/to/python chooses the Python to make it with.
 
@@ -11,7 +13,7 @@ endif
 .ONESHELL:
 .SHELLFLAGS := -euc
 .SILENT:
-.PHONY: install demo test lint clean
+.PHONY: install demo test lint bench docs clean
 
 # Small problems want ranks, not threads; on one machine MPI has no network card to look for.
 export OMP_NUM_THREADS ?= 1
@@ -30,6 +32,17 @@ lint: .venv/.complete
 	.venv/bin/ruff check
 	.venv/bin/ruff format --check
 	.venv/bin/mypy
+
+bench: .venv/.complete
+	.venv/bin/python benchmarks/layer_accuracy.py --out runs/layer_accuracy
+	echo "Tables and figures are in runs/layer_accuracy."
+
+# What the pages show and a run can make anew.
+docs: demo bench
+	cp runs/$(scene)/figures/layer.png docs/figures/$(scene).png
+	cp runs/layer_accuracy/*.png docs/figures/
+	sed -i '/^<!-- tables -->$$/q' docs/layer-accuracy.md
+	cat runs/layer_accuracy/tables.md >> docs/layer-accuracy.md
 
 install: .venv/.complete
 

@@ -16,8 +16,8 @@ where :math:`L(W) y` holds the objective terms :math:`W\sigma - \sigma W` and :m
 The Jacobian with respect to *y* is a diagonal, three outer products and *L*, which is how it is
 formed below. Every function is compiled into its caller, where the layout's tables are constants.
 
-Sources: Bauer and Huang's equations as printed in the paper (its equations 1 to 7); the barotropy
-factor f_b from the consistency condition that isotropic compression along e_i stays on e_i.
+Sources: equations 1 to 7 of the source paper; the barotropy factor f_b from the consistency condition that
+isotropic compression along e_i stays on e_i.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -138,15 +138,26 @@ class Stepper:
         return left / 2 if left < 2 * size else size
 
     def _attempt(self, travel: float, step: float) -> Solution:
-        """Predict and solve one step."""
+        """Predict and solve one step; where going on as before leads nowhere, start from the law's linear part.
+
+        The law answers to the direction of the strain rate, however small the step: a part of the body that begins to
+        unload needs another start, not a smaller step.
+        """
         problem = self.problem
         problem.apply(travel + step)
-        if self._last is None:
-            self.solver.predict()
-        else:
+        iterations = 0
+        if self._last is not None:
             problem.unknown.x.array[:] += step / self._last.size * self._last.unknown
             problem.impose()
-        return self.solver.solve()
+            solution = self.solver.solve()
+            if solution.converged:
+                return solution
+            iterations = solution.iterations
+            problem.roll_back()
+        if not self.solver.predict():
+            return Solution(False, iterations, "the law or the linear solver failed at the start of the step", np.inf)
+        solution = self.solver.solve()
+        return replace(solution, iterations=iterations + solution.iterations)
 
     def _remember(self, step: float) -> float:
         """Keep the increment just found for the next prediction; return the step size that its strains suggest."""

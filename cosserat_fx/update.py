@@ -15,10 +15,16 @@ volume, :math:`1 + e(\tau) = (1 + e_n) \exp(\tau\, \Delta\epsilon_{kk})`. Differ
 stages gives the derivative of the result by one more solve with the factors at hand, so the
 tangent is that of the discrete update and not of the rate equations.
 
-The error of a substep is estimated by the difference to the quadrature of third order through
-f(y), f(Y_1) and f(Y_2), filtered by the stage matrix so that it stays meaningful when the law is stiff
-(Hosea and Shampine's treatment of TR-BDF2). The number of substeps of a point is chosen from it when the caller asks
-for it and is otherwise taken as given: with it frozen the update is a smooth function of the increment.
+The error of a substep is estimated from how far f(Y_1) lies from the straight line between f(y) and f(Y_2),
+
+.. math::
+
+    (1 - \gamma h f')^{-1} \tfrac23 h [f(Y_1) - (1-\gamma) f(y) - \gamma f(Y_2)],
+
+the one combination of the three that vanishes to second order. The factor 2/3 makes it the leading error where the law
+is linear; the filter, the inverse of the stage matrix, keeps it meaningful where it is stiff (as Hosea and Shampine do
+for TR-BDF2). The number of substeps of a point is chosen from it when the caller asks for it and is otherwise taken as
+given: with it frozen the update is a smooth function of the increment.
 """
 
 from __future__ import annotations
@@ -34,6 +40,7 @@ from numba import njit
 from cosserat_fx.compiled import inline
 from cosserat_fx.dense import factorise, solve
 from cosserat_fx.hypoplasticity import (
+    FIRST_FAILURE,
     LawArrays,
     Point,
     Status,
@@ -48,12 +55,7 @@ from cosserat_fx.material import KernelConstants
 from cosserat_fx.typing import Array, CodeArray, IntArray
 
 GAMMA = 1.0 - 1.0 / sqrt(2.0)
-# Weights of the quadrature through 0, gamma and 1, less those of the method.
-_QUADRATURE_1 = 1.0 / (6.0 * GAMMA * (1.0 - GAMMA))
-_QUADRATURE_2 = 0.5 - GAMMA * _QUADRATURE_1
-_ERROR_0 = 1.0 - _QUADRATURE_1 - _QUADRATURE_2
-_ERROR_1 = _QUADRATURE_1 - (1.0 - GAMMA)
-_ERROR_2 = _QUADRATURE_2 - GAMMA
+_ERROR_FACTOR = 2.0 / 3.0
 
 # A Newton correction of this size, relative to the trace of the stress, leaves an error of its square.
 _NEWTON_TOLERANCE = 1e-10
@@ -199,7 +201,7 @@ def _integrate(
             if code != _OK:
                 return code, worst
             for i in range(n):
-                work.known_error[i] = _ERROR_0 * h * work.law.rate[i]
+                work.known_error[i] = -_ERROR_FACTOR * (1.0 - GAMMA) * h * work.law.rate[i]
         work.base[:] = work.y
         work.stage[:] = work.y
         work.stage_sensitivity[:] = work.sensitivity
@@ -219,7 +221,7 @@ def _integrate(
                 for i in range(n):
                     first = work.stage[i] - work.y[i]
                     work.base[i] = work.y[i] + ratio * first
-                    work.known_error[i] += _ERROR_1 / GAMMA * first
+                    work.known_error[i] += _ERROR_FACTOR / GAMMA * first
                 if want_tangent:
                     for i in range(n):
                         for k in range(inputs):
@@ -227,7 +229,7 @@ def _integrate(
                             work.stage_sensitivity[i, k] = before + ratio * (work.stage_sensitivity[i, k] - before)
         if estimate:
             for i in range(n):
-                work.correction[i, 0] = work.known_error[i] + _ERROR_2 / GAMMA * (work.stage[i] - work.base[i])
+                work.correction[i, 0] = work.known_error[i] - _ERROR_FACTOR * (work.stage[i] - work.base[i])
             solve(work.matrix, work.pivots, work.correction, n, 1)
             for i in range(n):
                 worst = max(worst, -abs(work.correction[i, 0]) / p.trace)
@@ -317,6 +319,8 @@ def build_update(layout: Layout, *, spin: bool = True, void_ratio: bool = True) 
                 if number >= max_substeps:
                     code = _SUBSTEPS if code == _OK else code
                     break
+                if worst >= FIRST_FAILURE:
+                    break  # another point has failed already, and with it all that this one could be used for
                 growth = 2.0
                 if code == _OK:
                     growth = min(4.0, 1.1 * (estimate / tolerance) ** (1.0 / _ORDER_OF_ERROR))

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 import pytest
 
 if TYPE_CHECKING:
+    from console import Call
+
     from cosserat_fx.results import Run
 
 
@@ -24,3 +27,11 @@ def default_run(request: pytest.FixtureRequest, default_runs: dict[str, Run]) ->
     """Each of them in turn."""
     run: Run = default_runs[request.param]
     return run
+
+
+@pytest.fixture
+def call(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Call:
+    """Calls the program in this process with arguments, and gives back its exit status and what it printed."""
+    from console import call_in_this_process
+
+    return partial(call_in_this_process, monkeypatch, capfd)

@@ -1,5 +1,6 @@
 """The layers of the demos, changed as a test needs them, and run through in this process."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from cosserat_fx.scene import Scene, load_scene
 from cosserat_fx.typing import Array
 
 DEMOS = Path(__file__).parents[1] / "demos"
+ACCURACY_PAGE = Path(__file__).parents[1] / "docs" / "layer-accuracy.md"
 WALLS = ("very_rough", "medium_rough")
 HEIGHT, PRESSURE, VOID_RATIO = 0.04, 100e3, 0.6
 REQUESTED = (0.004, 0.01, 0.02, 0.03)
@@ -32,6 +34,13 @@ def walk(folder: Path, wall: str, *overrides: str) -> Run:
     """Runs a demo's scene with some keys replaced, and reads what it left."""
     run(scene(wall, *overrides), folder)
     return read_run(folder)
+
+
+def converged(wall: str, quantity: str) -> float:
+    """Shear stress in Pa, "peak" or "residual" (at 3 cm), in the limit of fine meshes and small steps."""
+    row = rf"^\| {wall.replace('_', ' ')} \| {quantity} \(Pa\) \| ([\d.]+) \|"
+    [value] = re.findall(row, ACCURACY_PAGE.read_text(), re.MULTILINE)
+    return float(value)
 
 
 def mean_pressure(profile: Table) -> Array:

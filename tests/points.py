@@ -2,9 +2,20 @@
 
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import numpy as np
-from reference_law import Increment, State, Tensor, characteristic_void_ratios, critical_factor
+import numpy.typing as npt
+from reference_law import (
+    Increment,
+    State,
+    Tensor,
+    characteristic_void_ratios,
+    contract,
+    critical_factor,
+    scaled,
+    trace,
+)
 
 from cosserat_fx.layout import Component, Layout
 from cosserat_fx.material import Material
@@ -78,123 +89,132 @@ def update(
 
 
 @cache
-def stress_scale(layout: Layout) -> Tensor:
+def stress_scale(layout: Layout) -> Array:
     """(n,) that takes forces to stresses: 1 for stresses, 1/d50 for couple stresses."""
-    return np.r_[np.ones(len(layout.stress)), np.full(len(layout.couple), 1 / SAND.d50)]
+    return np.array([1.0] * len(layout.stress) + [1 / SAND.d50] * len(layout.couple))
 
 
 @cache
-def strain_scale(layout: Layout) -> Tensor:
+def strain_scale(layout: Layout) -> Array:
     """(inputs,) that takes increments to strains: d50 for curvatures, 1 for strains and spins."""
-    return np.r_[
-        np.ones(len(layout.strain)), np.full(len(layout.curvature), SAND.d50), np.ones(len(layout.spin))
-    ]
+    return np.array([1.0] * len(layout.strain) + [SAND.d50] * len(layout.curvature) + [1.0] * len(layout.spin))
 
 
-def _tensor(layout: Layout, components: tuple[Component, ...], values: Array) -> Tensor:
-    tensor = np.zeros(values.shape[:-1] + (3, 3), dtype=values.dtype)
+def normal_components(layout: Layout) -> npt.NDArray[np.bool_]:
+    """(n,) true for the normal stresses among the forces."""
+    return np.array([k < len(layout.stress) and i == j for k, (i, j) in enumerate(layout.forces)])
+
+
+def force_difference(layout: Layout, one: Array, other: Array) -> Array:
+    """(m,) largest difference of forces, couple stresses over d50, relative to the trace of the second's stress."""
+    difference = np.abs((one - other) * stress_scale(layout)).max(axis=1)
+    return np.asarray(difference / np.abs(other[:, normal_components(layout)].sum(axis=1)))
+
+
+def _tensor(components: tuple[Component, ...], values: Tensor, symmetric: bool) -> Tensor:
+    tensor = np.zeros((*values.shape[:-1], 3, 3), dtype=values.dtype)
     for k, (i, j) in enumerate(components):
         tensor[..., i, j] = values[..., k]
-        if not layout.polar:
+        if symmetric:
             tensor[..., j, i] = values[..., k]
     return tensor
 
 
-def tensors(layout: Layout, forces: Array, void_ratio: Array) -> State:
-    """Forces as tensors."""
-    cut = len(layout.stress)
-    couple = np.zeros(forces.shape[:-1] + (3, 3), dtype=forces.dtype)
-    for k, (i, j) in enumerate(layout.couple):
-        couple[..., i, j] = forces[..., cut + k]
-    return State(_tensor(layout, layout.stress, forces[..., :cut]), couple, void_ratio)
+def tensors(layout: Layout, forces: Tensor, void_ratio: Tensor) -> State:
+    """Forces and void ratios as a state of the reference law."""
+    stress, couple = np.split(forces, [len(layout.stress)], axis=-1)
+    return State(
+        _tensor(layout.stress, stress, not layout.polar), _tensor(layout.couple, couple, False), np.asarray(void_ratio)
+    )
 
 
-def increment_tensors(layout: Layout, increments: Array) -> Increment:
-    """Increments as tensors."""
-    parts = np.cumsum([len(layout.strain), len(layout.curvature)])
-    strain, curvature, spin = np.split(increments, parts, axis=-1)
-    bend = np.zeros(increments.shape[:-1] + (3, 3), dtype=increments.dtype)
-    turn = np.zeros_like(bend)
-    for k, (i, j) in enumerate(layout.curvature):
-        bend[..., i, j] = curvature[..., k]
-    for k, (i, j) in enumerate(layout.spin):
-        turn[..., i, j] = spin[..., k]
-        turn[..., j, i] = -spin[..., k]
-    return Increment(_tensor(layout, layout.strain, strain), bend, turn)
+def increment_tensors(layout: Layout, increments: Tensor) -> Increment:
+    """Increments as those of the reference law."""
+    cuts = np.cumsum([len(layout.strain), len(layout.curvature)])
+    strain, curvature, spin = np.split(increments, cuts, axis=-1)
+    turn = _tensor(layout.spin, spin, False)
+    return Increment(
+        _tensor(layout.strain, strain, not layout.polar),
+        _tensor(layout.curvature, curvature, False),
+        turn - np.swapaxes(turn, -1, -2),
+    )
 
 
-def components(layout: Layout, state: State) -> Array:
-    """The forces of a layout in tensors."""
+def components(layout: Layout, state: State) -> Tensor:
+    """The forces of a layout in a state of the reference law."""
     stress = [state.stress[..., i, j] for i, j in layout.stress]
     return np.stack(stress + [state.couple[..., i, j] for i, j in layout.couple], axis=-1)
 
 
+def rows(state: State, which: Any) -> State:
+    """Some points of a batch."""
+    return State(state.stress[which], state.couple[which], state.void_ratio[which])
+
+
 def limit_size(direction: Tensor) -> Array:
-    """Size of s* on the Matsuoka-Nakai cone, |s*| = a(s), along unit symmetric deviators (m, 3, 3)."""
+    """Size (m,) of s* on the Matsuoka-Nakai cone, |s*| = a(s), along unit symmetric deviators, by bisection."""
     inside, outside = np.zeros(len(direction)), np.full(len(direction), 0.8)
     for _ in range(60):
         middle = (inside + outside) / 2
         with np.errstate(invalid="ignore"):
-            a = critical_factor(np.eye(3) / 3 + middle[:, None, None] * direction, SAND)
-        below = middle < np.where(np.isnan(a), 0, a)
+            below = middle < critical_factor(np.eye(3) / 3 + scaled(middle, direction), SAND)
         inside, outside = np.where(below, middle, inside), np.where(below, outside, middle)
     return inside
 
 
 def draw_forces(
-    rng: np.random.Generator, layout: Layout, pressure: Array, mobilised: Array, *, couple_share: float = 0.5
+    rng: np.random.Generator, layout: Layout, pressure: Array, mobilised: Array, *, rest_share: float = 0.5
 ) -> Array:
-    """Random stresses and couple stresses at a distance from the isotropic axis measured by the limit surface.
-
-    In states of vanishing stress rate |s*|^2/a^2 + |m|^2/a_c^2 = 1 where f_d = 1. That root is `mobilised`.
+    """Random stresses and couple stresses at given distances from the isotropic state.
 
     Args:
-        rng: source.
+        rng: source of the numbers.
         layout: components.
         pressure: (m,) mean pressure, Pa.
-        mobilised: (m,) 0 at isotropic states, 1 on the limit surface.
-        couple_share: largest share of couple stress and antisymmetric stress in it.
+        mobilised: (m,) root of |s*|^2/a^2 + |m|^2/a_c^2, which is 1 at the critical state and 0 at isotropic ones.
+        rest_share: largest share of it in antisymmetric stresses and couple stresses.
     """
-    m, cut = len(pressure), len(layout.stress)
-    part = tensors(layout, rng.normal(size=(m, len(layout.forces))), np.zeros(m))
-    transpose = np.swapaxes(part.stress, -1, -2)
-    deviator = (part.stress + transpose) / 2
-    deviator -= np.trace(deviator, axis1=-2, axis2=-1)[:, None, None] / 3 * np.eye(3)
-    deviator /= np.linalg.norm(deviator, axis=(-2, -1))[:, None, None]
+    m = len(pressure)
+    drawn = tensors(layout, rng.normal(size=(m, len(layout.forces))), np.zeros(m))
+    deviator = unit_deviators(drawn.stress)
     limit = limit_size(deviator)
-    share = rng.uniform(0, couple_share, m) if layout.polar else np.zeros(m)
-    twist = (part.stress - transpose) / 2
-    rest = components(layout, State(twist, part.couple, part.void_ratio))
-    rest /= np.maximum(np.linalg.norm(rest, axis=1), 1e-300)[:, None]
-    # The rest counts through a (antisymmetric stress) and a_c (couple stress).
-    weight = np.concatenate([np.tile(limit[:, None], cut), np.full((m, len(layout.forces) - cut), SAND.a_c)], axis=1)
-    main = components(layout, State(deviator, 0 * deviator, part.void_ratio)) * limit[:, None]
-    offset = mobilised[:, None] * (np.sqrt(1 - share**2)[:, None] * main + share[:, None] * weight * rest)
-    normal = np.array([k < cut and i == j for k, (i, j) in enumerate(layout.forces)])
-    return -3 * pressure[:, None] * (normal / 3 + offset) / stress_scale(layout)
+    twist = drawn.stress - np.swapaxes(drawn.stress, -1, -2)
+    rest = np.sqrt(contract(twist, twist) + contract(drawn.couple, drawn.couple))
+    rest = np.maximum(rest, np.finfo(float).tiny)  # a classical layout has none
+    share = rng.uniform(0, rest_share, m)
+    along, across = mobilised * limit * np.sqrt(1 - share**2), mobilised * share / rest
+    stress = np.eye(3) / 3 + scaled(along, deviator) + scaled(across * limit, twist)
+    couple = scaled(across * SAND.a_c * SAND.d50, drawn.couple)
+    return components(layout, State(scaled(-3 * pressure, stress), scaled(-3 * pressure, couple), drawn.void_ratio))
+
+
+def unit_deviators(tensor: Tensor) -> Tensor:
+    """Symmetric deviatoric parts over their norm."""
+    symmetric = (tensor + np.swapaxes(tensor, -1, -2)) / 2
+    deviator = symmetric - scaled(trace(symmetric) / 3, np.eye(3))
+    return scaled(1 / np.sqrt(contract(deviator, deviator)), deviator)
 
 
 def draw_void_ratio(rng: np.random.Generator, pressure: Array, low: float = 0.02, high: float = 0.98) -> Array:
     """Void ratios between e_d (0) and e_i (1) at the pressures."""
     e_i, _, e_d = characteristic_void_ratios(-3 * pressure, SAND)
-    return e_d + rng.uniform(low, high, len(pressure)) * (e_i - e_d)
+    return np.asarray(e_d + rng.uniform(low, high, len(pressure)) * (e_i - e_d))
 
 
-def draw_increments(
-    rng: np.random.Generator, layout: Layout, size: Array, *, volume: float = 0.2, bending: float = 0.5
-) -> Array:
-    """Mostly shearing increments with random curvature and spin.
+def draw_increments(rng: np.random.Generator, layout: Layout, size: Array, *, volume: float = 0.1) -> Array:
+    """Random increments, mostly shear, with curvature and spin.
 
     Args:
-        rng: source.
+        rng: source of the numbers.
         layout: components.
-        size: (m,) norm of strain and curvature times d50.
-        volume: share of the normal strains.
-        bending: share of the curvatures.
+        size: (m,) norm of strain and curvature times d50, and bound of each component of spin.
+        volume: weight of the normal strains.
     """
-    normal = np.array([i == j for i, j in layout.strain])
-    shares = np.r_[np.where(normal, volume, 1.0), np.full(len(layout.curvature), bending)]
+    shares = np.r_[
+        np.where([i == j for i, j in layout.strain], volume, 1.0),
+        np.full(len(layout.curvature), 0.5),
+    ]
     driven = rng.normal(size=(len(size), len(shares))) * shares
     driven *= (size / np.linalg.norm(driven, axis=1))[:, None]
     spin = rng.uniform(-1, 1, (len(size), len(layout.spin))) * size[:, None]
-    return np.concatenate([driven, spin], axis=1) / strain_scale(layout)
+    return np.asarray(np.concatenate([driven, spin], axis=1) / strain_scale(layout))

@@ -120,7 +120,7 @@ def integrate(state: State, increment: Increment, c: Material, *, evolving: bool
     scale = np.r_[np.full(9, pressure), np.full(9, pressure * c.d50), 1.0]
 
     def pack(y: State) -> Tensor:
-        return np.concatenate([y.stress.ravel(), y.couple.ravel(), [y.void_ratio]]) / scale
+        return np.asarray(np.concatenate([y.stress.ravel(), y.couple.ravel(), [y.void_ratio]]) / scale)
 
     def unpack(x: Tensor) -> State:
         y = x * scale

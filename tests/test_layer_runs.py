@@ -5,15 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from layers import D50, HEIGHT, PRESSURE, REQUESTED, SAND, VOID_RATIO, WALLS, mean_pressure, unevenness, walk
+from layers import D50, HEIGHT, PRESSURE, REQUESTED, SAND, VOID_RATIO, WALLS, converged, mean_pressure, unevenness, walk
 
 from cosserat_fx.material import Material
 from cosserat_fx.results import Run
 
 SOLVER_TOLERANCE = 1e-8
-
-# Shear stress in Pa at the peak and at 3 cm, in the limit of fine meshes and small steps: docs/layer-accuracy.md.
-CONVERGED = {"very_rough": (63425.0, 59585.0), "medium_rough": (63045.0, 59295.0)}
 
 # -- the demos' scenes -------------------------------------------------------------------------------------------------
 
@@ -38,10 +35,10 @@ def test_requested_displacements_are_hit_to_the_last_bit(default_run: Run) -> No
 
 @pytest.mark.parametrize("wall", WALLS)
 def test_peak_and_residual_are_near_the_converged_values(wall: str, default_runs: dict[str, Run]) -> None:
-    peak, residual = CONVERGED[wall]
     friction = default_runs[wall].summary["friction"]
-    assert friction["refined_peak_shear_stress_Pa"] == pytest.approx(peak, rel=0.002)
-    assert friction["residual_shear_stress_Pa"] == pytest.approx(residual, rel=0.002)
+    for key in ("peak_shear_stress_Pa", "refined_peak_shear_stress_Pa"):
+        assert friction[key] == pytest.approx(converged(wall, "peak"), rel=0.002)
+    assert friction["residual_shear_stress_Pa"] == pytest.approx(converged(wall, "residual"), rel=0.002)
     assert friction["peak_shear_stress_Pa"] == default_runs[wall].history["shear_stress_Pa"].max()
 
 

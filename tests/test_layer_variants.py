@@ -108,6 +108,22 @@ def test_two_medium_rough_walls_share_the_shear(tmp_path: Path) -> None:
     assert min(strain[0], strain[-1]) > 10 * strain[len(strain) // 2]
 
 
+def test_a_layer_that_moves_as_a_whole_is_not_sheared(tmp_path: Path) -> None:
+    """After 1 mm of shear both walls go 1 cm to the right: nothing happens, in a few steps."""
+    run = walk(
+        tmp_path / "run",
+        "very_rough",
+        "walls.bottom={shear_displacement=[0.0, 0.01]}",
+        f"walls.top={{shear_displacement=[0.001, 0.011], {LOADED_TOP}}}",
+        "output.profiles_at=[0.001]",
+        "stepping.max_steps=60",
+    )
+    assert run.summary["status"] == "done"
+    moving = run.history["bottom_displacement_m"] > 0
+    sheared = run.history["shear_stress_Pa"]
+    assert sheared[moving] == pytest.approx(sheared[~moving][-1], rel=SOLVER_TOLERANCE)
+
+
 @pytest.mark.parametrize("wall", ["very_rough", "medium_rough"])
 def test_at_constant_height_dilating_sand_presses_against_the_walls(wall: str, tmp_path: Path) -> None:
     """The wall does not rise, so the mean of the void ratio stays; the sand that wants to dilate builds up pressure."""
@@ -223,7 +239,7 @@ def test_a_point_looser_than_the_law_knows_is_told(tmp_path: Path) -> None:
 def test_sand_that_liquefies_stops_the_run_and_leaves_what_was_computed(tmp_path: Path) -> None:
     """Very loose sand at constant height contracts until it carries nothing: static liquefaction, the law's end."""
     top = "walls.top={constant_height=true, shear_displacement=0.03}"
-    loose = scene("very_rough", top, "initial.void_ratio=1.05", "stepping.min_step=1e-6")
+    loose = scene("very_rough", top, "initial.void_ratio=1.05", "geometry.cells=40", "stepping.min_step=1e-6")
     ledger = run_scene(loose, tmp_path / "run")
     run = read_run(tmp_path / "run")
     assert run.summary["status"] == "stopped"

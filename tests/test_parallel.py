@@ -10,6 +10,7 @@ from pathlib import Path
 import meshio
 import numpy as np
 import pytest
+from console import settings
 from layers import NOTHING_TO_LOOK_AT, demo, difference, walk
 
 from cosserat_fx._compat import MPI
@@ -42,8 +43,8 @@ def launch(ranks: int, *arguments: object, before: str = "") -> subprocess.Compl
     return subprocess.run(command, env=ENVIRONMENT, capture_output=True, text=True, timeout=TIMEOUT)
 
 
-def settings(*overrides: str) -> list[str]:
-    return [argument for override in (*NOTHING_TO_LOOK_AT, *overrides) for argument in ("--set", override)]
+def quietly(*overrides: str) -> list[str]:
+    return settings(*NOTHING_TO_LOOK_AT, *overrides)
 
 
 def assert_equal(one: Run, several: Run, ranks: int) -> None:
@@ -61,7 +62,7 @@ def assert_equal(one: Run, several: Run, ranks: int) -> None:
 def test_two_ranks_give_the_answer_of_one(tmp_path: Path, default_runs: dict[str, Run]) -> None:
     """The whole scene of the demo: forty steps, a peak, and a band that forms across the ranks' border."""
     out = tmp_path / "run"
-    process = launch(2, "run", demo("very_rough"), "--out", out, *settings())
+    process = launch(2, "run", demo("very_rough"), "--out", out, *quietly())
     assert process.returncode == 0, process.stderr
     assert_equal(default_runs["very_rough"], read_run(out), 2)
     assert len(re.findall("^done: ", process.stdout, re.MULTILINE)) == 1
@@ -72,7 +73,7 @@ def test_three_ranks_give_the_answer_of_one_with_fields_and_figures(tmp_path: Pa
     """Up to the peak under the medium rough wall; what is gathered from the ranks is written and drawn."""
     out = tmp_path / "three"
     drawn = ("output.figures=true", "output.fields=true")
-    process = launch(3, "run", demo("medium_rough"), "--out", out, *settings(*SHORT, *drawn))
+    process = launch(3, "run", demo("medium_rough"), "--out", out, *quietly(*SHORT, *drawn))
     assert process.returncode == 0, process.stderr
     one = walk(tmp_path / "one", "medium_rough", *SHORT, "output.fields=true")
     assert_equal(one, read_run(out), 3)
@@ -87,7 +88,7 @@ def test_three_ranks_give_the_answer_of_one_with_fields_and_figures(tmp_path: Pa
 def test_more_ranks_than_cells_are_no_harm(tmp_path: Path) -> None:
     """A rank without a single cell takes part all the same."""
     little = ("geometry.cells=1", "walls.top.shear_displacement=2e-4", "output.profiles_at=[2e-4]")
-    process = launch(2, "run", demo("very_rough"), "--out", tmp_path / "two", *settings(*little))
+    process = launch(2, "run", demo("very_rough"), "--out", tmp_path / "two", *quietly(*little))
     assert process.returncode == 0, process.stderr
     assert_equal(walk(tmp_path / "one", "very_rough", *little), read_run(tmp_path / "two"), 2)
 
@@ -95,7 +96,7 @@ def test_more_ranks_than_cells_are_no_harm(tmp_path: Path) -> None:
 def test_points_that_fail_on_one_rank_stop_all_of_them(tmp_path: Path) -> None:
     """The grains at the top fail, which one of the two ranks has: both cut back, both stop, one tells."""
     wild = ("walls.top.rolling=20.0", "stepping.min_step=1e-5")
-    process = launch(2, "run", demo("medium_rough"), "--out", tmp_path / "two", *settings(*wild))
+    process = launch(2, "run", demo("medium_rough"), "--out", tmp_path / "two", *quietly(*wild))
     assert process.returncode == 3, process.stderr
     one, two = walk(tmp_path / "one", "medium_rough", *wild), read_run(tmp_path / "two")
     assert two.summary["reason"] == one.summary["reason"]
@@ -133,7 +134,15 @@ def broken(self, step):
 if MPI.COMM_WORLD.rank == 1:
     LayerObserver.row = broken
 """
-    process = launch(2, "run", demo("medium_rough"), "--out", tmp_path / "run", *settings(*SHORT), before=sabotage)
+    process = launch(
+        2,
+        "run",
+        demo("medium_rough"),
+        "--out",
+        tmp_path / "run",
+        *quietly(*SHORT),
+        before=sabotage,
+    )
     assert process.returncode not in (0, 2, 3)
     assert process.stderr.count("ZeroDivisionError: on the second rank") == 1
 
