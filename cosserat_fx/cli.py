@@ -169,8 +169,12 @@ def _need_dolfinx() -> None:
 
 
 def _console() -> Console:
-    """The terminal, or a log file, in which lines are left as long as they are."""
-    console = Console()
+    """The terminal, or a log file, in which lines are plain and left as long as they are.
+
+    Under mpirun it is taken for a log file: Open MPI puts a terminal between its ranks and a pipe.
+    """
+    ranks = _ranks()
+    console = Console(force_terminal=None if ranks is None or ranks.size == 1 else False)
     if not console.is_terminal:
         console.width = 160
     return console

@@ -165,12 +165,12 @@ class Stepper:
         strains = problem.strain_increments()
         self._last = _Increment(step, problem.unknown.x.array - problem.committed.x.array, strains)
         largest = problem.comm.allreduce(np.max(np.linalg.norm(strains, axis=1), initial=0.0), op=MPI.MAX)
-        factor = control.strain / largest
+        size = step * control.strain / largest if largest else np.inf
         if last is not None:
             change = problem.comm.allreduce(np.sum((strains - step / last.size * last.strains) ** 2))
             total = problem.comm.allreduce(np.sum(strains**2))
-            factor = min(factor, control.tolerance * float(np.sqrt(total / change)))
-        return float(step * factor)
+            size = min(size, step * control.tolerance * np.sqrt(total / change) if change else np.inf)
+        return float(size)
 
     def _resize(self, wish: float, step: float, iterations: int, cutbacks: int, suggestion: float) -> float:
         """The size to wish for next.

@@ -61,11 +61,13 @@ _ERROR_FACTOR = 2.0 / 3.0
 _NEWTON_TOLERANCE = 1e-10
 _NEWTON_ITERATIONS = 25
 _NEWTON_HALVINGS = 12
+_PRESSURE_DOUBLINGS = 10
 _ORDER_OF_ERROR = 3.0
 
 _OK = int(Status.OK)
 _LOOSE = int(Status.LOOSER_THAN_E_I)
 _LOCAL_NEWTON = int(Status.LOCAL_NEWTON)
+_DENSE = int(Status.DENSER_THAN_E_D)
 _SUBSTEPS = int(Status.SUBSTEPS)
 _NOT_FINITE = int(Status.NOT_FINITE)
 
@@ -128,14 +130,21 @@ def make_work(n: int, n_driven: int, n_spin: int) -> Work:
 def _solve_stage(work: Work, e: float, norm: float, scale: float, c: KernelConstants, t: Tables) -> tuple[int, Point]:
     """Newton's method for ``stage = base + scale f(stage)`` from the guess in ``work.stage``.
 
-    Corrections that leave the law's domain are halved. On success the law's arrays are those of the solution and the
-    factors of the stage matrix those of the iterate before it, which is as near as the tolerance.
+    A guess denser than e_d, as in compression near it, is given a pressure at which it is not. Corrections that leave
+    the law's domain are halved. On success the law's arrays are those of the solution and the factors of the stage
+    matrix those of the iterate before it, which is as near as the tolerance.
 
     Returns:
         A status code and the law's scalars at the last admissible iterate.
     """
     n = len(t.weight)
     code, p = rate(work.stage, e, work.d, norm, work.w, c, t, work.law)
+    for _ in range(_PRESSURE_DOUBLINGS):
+        if code != _DENSE:
+            break
+        for i in range(n):
+            work.stage[i] *= 2.0
+        code, p = rate(work.stage, e, work.d, norm, work.w, c, t, work.law)
     if code != _OK:
         return code, p
     for _ in range(_NEWTON_ITERATIONS):
@@ -264,7 +273,9 @@ def build_update(layout: Layout, *, spin: bool = True, void_ratio: bool = True) 
         - c: :class:`~cosserat_fx.material.KernelConstants`;
         - tolerance: of the estimate, relative to the trace of the stress; max_substeps: its limit.
 
-        Where a point fails, its trial values are its committed ones and its status says why.
+        Where a point fails, its trial values are its committed ones and its status says why. Where ``adapt``, the
+        points after it keep the number of substeps they have, so their status and error mean little; the worst
+        status and its row are then those of the point that failed first.
     """
     t = tables(layout, spin=spin)
     n = len(layout.forces)
@@ -351,7 +362,7 @@ def build_update(layout: Layout, *, spin: bool = True, void_ratio: bool = True) 
                 if want_tangent:
                     tangent[q, :, :] = 0.0
             status[q] = code
-            if code > worst:
+            if code > worst and not (adapt and worst >= FIRST_FAILURE):
                 worst = code
                 where = row
         return worst, where

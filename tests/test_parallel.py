@@ -65,6 +65,7 @@ def test_two_ranks_give_the_answer_of_one(tmp_path: Path, default_runs: dict[str
     process = launch(2, "run", demo("very_rough"), "--out", out, *quietly())
     assert process.returncode == 0, process.stderr
     assert_equal(default_runs["very_rough"], read_run(out), 2)
+    assert "\x1b" not in process.stdout
     assert len(re.findall("^done: ", process.stdout, re.MULTILINE)) == 1
     assert len(re.findall(r"^polar +on +default", process.stdout, re.MULTILINE)) == 1
 
