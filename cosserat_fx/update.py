@@ -31,7 +31,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
-from math import exp, isfinite, sqrt
+from math import exp, expm1, isfinite, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -205,7 +205,7 @@ def _integrate(
         begin = (step / substeps) ** 2
         h = ((step + 1) / substeps) ** 2 - begin
         if estimate:
-            e = (1.0 + e_n) * exp(begin * volume) - 1.0 if evolving else e_n
+            e = e_n + (1.0 + e_n) * expm1(begin * volume) if evolving else e_n
             code, p = rate(work.y, e, work.d, norm, work.w, c, t, work.law)
             if code != _OK:
                 return code, worst
@@ -216,7 +216,7 @@ def _integrate(
         work.stage_sensitivity[:] = work.sensitivity
         for stage in range(2):
             time = begin + (GAMMA if stage == 0 else 1.0) * h
-            e = (1.0 + e_n) * exp(time * volume) - 1.0 if evolving else e_n
+            e = e_n + (1.0 + e_n) * expm1(time * volume) if evolving else e_n
             code, p = _solve_stage(work, e, norm, GAMMA * h, c, t)
             if code != _OK:
                 return code, worst
@@ -342,7 +342,7 @@ def build_update(layout: Layout, *, spin: bool = True, void_ratio: bool = True) 
                 for i in range(n):
                     forces[q, i] = work.y[i] * (1.0 if i < n_stress else c.d50)
                     volume += t.normal[i] * work.d[i]
-                e[q] = (1.0 + e_n[q]) * exp(volume) - 1.0 if void_ratio else e_n[q]
+                e[q] = e_n[q] + (1.0 + e_n[q]) * expm1(volume) if void_ratio else e_n[q]
                 trace = 0.0
                 for i in range(n):
                     trace += t.normal[i] * work.y[i]
