@@ -17,6 +17,7 @@ from reference_law import (
     trace,
 )
 
+from cosserat_fx.hypoplasticity import FIRST_FAILURE
 from cosserat_fx.layout import Component, Layout
 from cosserat_fx.material import Material
 from cosserat_fx.typing import Array, CodeArray, IntArray
@@ -86,6 +87,34 @@ def update(
         tangent,
     )
     return Result(**(vars(result) | {"worst": worst, "where": where}))
+
+
+def adapted_substeps(
+    layout: Layout,
+    increments: Array,
+    forces: Array,
+    void_ratio: Array,
+    *,
+    tolerance: float,
+    material: Material = SAND,
+) -> tuple[IntArray, npt.NDArray[np.bool_]]:
+    """(m,) substeps that the update chooses, and which points it can update; one by one, as a failure ends a batch."""
+    results = [
+        update(
+            layout,
+            increments[q : q + 1],
+            forces[q : q + 1],
+            void_ratio[q : q + 1],
+            adapt=True,
+            tolerance=tolerance,
+            max_substeps=200,
+            tangent=False,
+            material=material,
+        )
+        for q in range(len(forces))
+    ]
+    substeps = np.concatenate([result.substeps for result in results])
+    return substeps, np.array([result.worst < FIRST_FAILURE for result in results])
 
 
 @cache
