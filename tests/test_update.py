@@ -404,15 +404,14 @@ def test_huge_increments_fail_cleanly_or_not_at_all() -> None:
     increments = draw_increments(rng, LAYER, 10 ** rng.uniform(-3, log10(0.5), m), volume=1.0)
     result = update(LAYER, increments, forces, void_ratio)
     failed = result.status >= FIRST_FAILURE
-    assert {Status.LOCAL_NEWTON, Status.RADICAND, Status.DENSER_THAN_E_D, Status.TENSION} <= set(result.status)
+    assert set(result.status) == set(Status) - {Status.SUBSTEPS, Status.NOT_FINITE}
     np.testing.assert_array_equal(result.forces[failed], forces[failed])
     np.testing.assert_array_equal(result.void_ratio[failed], void_ratio[failed])
     assert np.all(result.tangent[failed] == 0)
     for written in (result.forces, result.void_ratio, result.tangent):
         assert np.isfinite(written).all()
-    assert (result.worst, result.where) == (result.status.max(), result.status.argmax())
-    for code in Status:
-        assert code in result.status or code in (Status.SUBSTEPS, Status.NOT_FINITE)
+    assert result.worst == result.status.max()
+    assert result.where == result.status.argmax()
 
 
 def test_a_failing_point_ends_the_search_for_substeps() -> None:
