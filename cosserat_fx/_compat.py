@@ -31,7 +31,7 @@ if tuple(int(part) for part in dolfinx.__version__.split(".")[:2]) < (0, 9):
 if np.issubdtype(PETSc.ScalarType, np.complexfloating):
     raise ImportError(_HOW_TO_INSTALL.format(problem="this PETSc is complex-valued"))
 
-__all__ = ["MPI", "PETSc", "dolfinx", "evaluate"]
+__all__ = ["MPI", "PETSc", "dolfinx", "entity_nodes", "evaluate"]
 
 _FLAT_EXPRESSIONS = tuple(int(part) for part in dolfinx.__version__.split(".")[:2]) < (0, 10)
 
@@ -50,3 +50,20 @@ def evaluate(
     points, size = expression.X().shape[0], values.shape[-1]
     shape = (len(cells), points * size) if _FLAT_EXPRESSIONS else (len(cells), points, size)
     expression.eval(mesh, cells, values.reshape(shape))
+
+
+def entity_nodes(mesh: dolfinx.mesh.Mesh, dim: int, entities: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
+    """Nodes at the corners of a mesh's entities, (entities, corners); DOLFINx 0.9 divides by zero where there is none.
+
+    Args:
+        mesh: of cells with straight sides.
+        dim: topological dimension of the entities.
+        entities: local indices.
+    """
+    if not len(entities):
+        kind = dolfinx.cpp.mesh.cell_entity_type(mesh.topology.cell_type, dim, 0)
+        return np.empty((0, dolfinx.cpp.mesh.cell_num_vertices(kind)), dtype=np.int32)
+    mesh.topology.create_connectivity(dim, mesh.topology.dim)
+    mesh.topology.create_connectivity(mesh.topology.dim, dim)
+    nodes: npt.NDArray[np.int32] = dolfinx.mesh.entities_to_geometry(mesh, dim, entities)
+    return nodes

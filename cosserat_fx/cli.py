@@ -72,20 +72,34 @@ def run(
 
 
 @app.command()
-def check(scene: SceneFile, overrides: Overrides = []) -> None:  # noqa: B006
+def check(
+    scene: SceneFile,
+    overrides: Overrides = [],  # noqa: B006
+    measure: Annotated[
+        bool, typer.Option("--measure", help="Compiles what it lacks to tell each effect's share of the kernel's time.")
+    ] = False,
+) -> None:
     """Validates a scene and prints its effects, sizes and expected cost, without running it."""
     loaded = _load(scene, overrides)
     _need_dolfinx()
     from cosserat_fx._compat import MPI
+    from cosserat_fx.bodies import build
     from cosserat_fx.cost import expected_cost
-    from cosserat_fx.layer import build
+    from cosserat_fx.effects import effects
+    from cosserat_fx.kernel_time import kernel_shares
     from cosserat_fx.run import describe
 
-    layer = build(loaded, MPI.COMM_WORLD)
-    cost = expected_cost(layer)
+    try:
+        body = build(loaded, MPI.COMM_WORLD)
+    except SceneError as error:
+        _refuse(str(error))
+    listed = kernel_shares(effects(body), body, compiling=measure)
+    cost = expected_cost(body)
     console = _console()
-    console.print(describe(layer))
+    console.print(describe(body, listed))
     console.print(str(cost), highlight=False)
+    for warning in body.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
 
 
 @app.command()

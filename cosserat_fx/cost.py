@@ -1,22 +1,23 @@
-"""What a run is going to cost, before it runs: a look at the path and a short calibration of the kernel."""
+"""What a run is going to cost, before it runs: a look at the path and a short calibration of kernel and solver."""
 
 from __future__ import annotations
 
-import timeit
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-import numpy as np
+from cosserat_fx._compat import PETSc
+from cosserat_fx.kernel_time import seconds_per_substep
 
-from cosserat_fx.layer import Layer
+if TYPE_CHECKING:
+    from cosserat_fx.bodies import Body
 
 UPDATES_PER_STEP = 7
+ITERATIONS_PER_STEP = 5
 SUBSTEPS_PER_UPDATE = 2
 STEPS_TO_PEAK = 20
 BAND_IN_GRAINS = 10.0
-"""Typical figures of the default step control on the paper's layers, from the entries of their run.json."""
-_CALIBRATION_STRAIN = 1e-3
-_CALIBRATION_POINTS = 1024
-_CALIBRATION_REPEATS = 10
+"""Typical figures of the default step control, from the entries of run.json of the demos."""
+_PHASES = ("strains", "residual assembly", "Jacobian assembly", "linear solve")
 
 
 @dataclass(frozen=True)
@@ -25,42 +26,71 @@ class Cost:
 
     Attributes:
         steps: accepted steps.
-        update_seconds: in the constitutive update, on one rank of this machine.
+        ranks: MPI processes that share the work.
+        update_seconds: in the constitutive update.
+        solver_seconds: in assembly and linear solution.
         state_bytes: of the state at all quadrature points.
+        nonzeros: of the Jacobian.
+        factor_bytes: that the linear solver has taken for its factors; None where it does not tell.
     """
 
     steps: int
+    ranks: int
     update_seconds: float
+    solver_seconds: float
     state_bytes: int
+    nonzeros: int
+    factor_bytes: int | None
 
     def __str__(self) -> str:
-        """One line for the user."""
+        """A few lines for the user."""
+        factors = "" if self.factor_bytes is None else f", {self.factor_bytes / 1e6:.3g} MB of factors"
         return (
-            f"expected cost: about {self.steps} steps, {self.update_seconds:.2g} s of constitutive update on one rank, "
-            f"{self.state_bytes / 1e6:.3g} MB of state"
+            f"expected cost on {self.ranks} rank(s): about {self.steps} steps, {self.update_seconds:.2g} s of "
+            f"constitutive update, {self.solver_seconds:.2g} s of assembly and solution\n"
+            f"memory: {self.state_bytes / 1e6:.3g} MB of state, {self.nonzeros} non-zeros{factors}"
         )
 
 
-def expected_cost(layer: Layer) -> Cost:
-    """Estimate steps, kernel time and memory.
+def expected_cost(body: Body) -> Cost:
+    """Estimate steps, time and memory. Collective; leaves the body as it was.
 
     Shear localises in a band of some ten grains, whose strain per step is bounded; the steps up to the peak come on
-    top, once a leg.
+    top, once a leg. Assembly and solution are those of one step from the initial state.
     """
-    problem, control = layer.problem, layer.stepper.control
-    band = min(BAND_IN_GRAINS * problem.material.d50, layer.scene.geometry.height)
-    by_strain = layer.path.length / min(control.strain * band, control.largest)
-    steps = int(STEPS_TO_PEAK * len(layer.scene.legs) + by_strain)
-    points = problem.sizes["quadrature_points"]
-    seconds = steps * UPDATES_PER_STEP * SUBSTEPS_PER_UPDATE * points * _seconds_per_substep(layer)
-    return Cost(steps, seconds, points * problem.state.bytes_per_point)
+    problem, control, path = body.problem, body.stepper.control, body.path
+    band = min(BAND_IN_GRAINS * problem.material.d50, problem.geometry.smallest_extent)
+    by_strain = path.length / min(control.strain * band, control.largest)
+    steps = min(int(STEPS_TO_PEAK * (len(path.corners) - 1) + by_strain), control.max_steps)
+    points, ranks = problem.sizes["quadrature_points"], problem.comm.size
+    updates = steps * UPDATES_PER_STEP * SUBSTEPS_PER_UPDATE * points / ranks
+    return Cost(
+        steps=steps,
+        ranks=ranks,
+        update_seconds=updates * seconds_per_substep(body),
+        solver_seconds=steps * ITERATIONS_PER_STEP * _seconds_per_iteration(body),
+        state_bytes=points * problem.state.bytes_per_point,
+        nonzeros=int(problem.matrix.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]),
+        factor_bytes=_factor_bytes(body),
+    )
 
 
-def _seconds_per_substep(layer: Layer) -> float:
-    """Time of one local substep with tangent, sheared from the initial state of a few of this rank's points."""
-    state, layout = layer.problem.state, layer.problem.layout
-    shear = np.zeros((min(_CALIBRATION_POINTS, len(state.points)), layout.n_inputs))
-    shear[:, layout.strain.index((0, 1))] = _CALIBRATION_STRAIN
-    seconds = min(timeit.repeat(lambda: state.update(shear, adapt=False), number=1, repeat=_CALIBRATION_REPEATS))
-    state.roll_back()
-    return seconds / len(shear)
+def _seconds_per_iteration(body: Body) -> float:
+    """Time of strains, assembly and linear solution of one iteration from the initial state (s)."""
+    problem, seconds = body.problem, 0.0
+    for _ in range(2):  # the first time, memory is taken and the matrix analysed
+        before = {phase: problem.stopwatch.seconds.get(phase, 0.0) for phase in _PHASES}
+        problem.apply(body.path.corners[0])
+        body.stepper.solver.predict()
+        problem.roll_back()
+        seconds = sum(problem.stopwatch.seconds.get(phase, 0.0) - before[phase] for phase in _PHASES)
+    return seconds
+
+
+def _factor_bytes(body: Body) -> int | None:
+    """Memory that MUMPS has allocated on all ranks for the factorisation just made (bytes)."""
+    solver = body.stepper.solver
+    if not solver.sees_branches:
+        return None
+    factors = solver.snes.getKSP().getPC().getFactorMatrix()
+    return int(1e6 * factors.getMumpsInfog(19))

@@ -1,6 +1,7 @@
-"""Fields of a layer for ParaView: a strip of it with nodal displacement and rotation and cell-averaged state.
+"""Fields for ParaView: one file per state, and a list of them whose times are travels along the path.
 
-``fields/layer.pvd`` lists one file per requested displacement; warp by ``displacement`` to see the layer deform.
+A layer is a strip with nodal displacement and rotation and cell-averaged state; warp by ``displacement`` to see it
+deform.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from xml.etree import ElementTree
 import meshio
 import numpy as np
 
-from cosserat_fx.observation import Columns
+from cosserat_fx.results import OutputError, Table
 
 _STRIP_WIDTH = 0.5
 _STATE = (
@@ -22,27 +23,72 @@ _STATE = (
 )
 
 
+class Series:
+    """Writes one mesh per call and keeps the list of all of them up to date: ``stem.pvd``, ``stem_0000.vtu``, ..."""
+
+    def __init__(self, folder: Path, stem: str) -> None:
+        """Make the folder.
+
+        Args:
+            folder: where to write.
+            stem: how the names of the files begin.
+
+        Raises:
+            OutputError: the folder cannot be made.
+        """
+        try:
+            folder.mkdir()
+        except OSError as error:
+            raise OutputError(f"{folder}: cannot be made: {error.strerror or error}") from error
+        self._folder, self._stem = folder, stem
+        self._root = ElementTree.Element("VTKFile", type="Collection", version="0.1")
+        self._collection = ElementTree.SubElement(self._root, "Collection")
+
+    def append(self, travel: float, mesh: meshio.Mesh) -> None:
+        """Write a mesh with its data.
+
+        Args:
+            travel: along the path (m), ParaView's time.
+            mesh: what to write.
+
+        Raises:
+            OutputError: a file cannot be written.
+        """
+        name = f"{self._stem}_{len(self._collection):04d}.vtu"
+        part = self._folder / f"{self._stem}.pvd.part"
+        try:
+            mesh.write(self._folder / name)
+            ElementTree.SubElement(self._collection, "DataSet", timestep=repr(float(travel)), file=name)
+            ElementTree.ElementTree(self._root).write(part, xml_declaration=True)
+            part.replace(self._folder / f"{self._stem}.pvd")
+        except OSError as error:
+            raise OutputError(f"{self._folder / name}: cannot be written: {error.strerror or error}") from error
+
+
 class FieldWriter:
-    """Writes one file per call and keeps the list of all of them up to date."""
+    """Writes the fields of a layer."""
 
     def __init__(self, folder: Path) -> None:
         """Make the folder.
 
         Args:
             folder: where to write.
-        """
-        folder.mkdir()
-        self._folder = folder
-        self._root = ElementTree.Element("VTKFile", type="Collection", version="0.1")
-        self._collection = ElementTree.SubElement(self._root, "Collection")
 
-    def write(self, travel: float, nodes: Columns, profile: Columns) -> None:
+        Raises:
+            OutputError: the folder cannot be made.
+        """
+        self._series = Series(folder, "layer")
+
+    def write(self, travel: float, nodes: Table, profile: Table) -> None:
         """Write the layer at a travel.
 
         Args:
             travel: along the path (m), ParaView's time.
             nodes: heights and fields of the nodes, ascending.
             profile: state at the quadrature points, ascending; equally many in every cell.
+
+        Raises:
+            OutputError: a file cannot be written.
         """
         y = nodes["y_m"]
         count = len(y)
@@ -55,7 +101,4 @@ class FieldWriter:
         if "omega_rad" in nodes:
             point_data["rotation"] = np.tile(nodes["omega_rad"], 2)
         cell_data = {name: [profile[name].reshape(count - 1, -1).mean(axis=1)] for name in _STATE}
-        name = f"layer_{len(self._collection):04d}.vtu"
-        meshio.Mesh(points, [("quad", quads)], point_data=point_data, cell_data=cell_data).write(self._folder / name)
-        ElementTree.SubElement(self._collection, "DataSet", timestep=repr(float(travel)), file=name)
-        ElementTree.ElementTree(self._root).write(self._folder / "layer.pvd", xml_declaration=True)
+        self._series.append(travel, meshio.Mesh(points, [("quad", quads)], point_data=point_data, cell_data=cell_data))

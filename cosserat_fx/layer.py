@@ -7,14 +7,19 @@ from dataclasses import dataclass
 
 from cosserat_fx import geometry
 from cosserat_fx._compat import MPI
-from cosserat_fx.conditions import Condition, Prescribed, Traction
+from cosserat_fx.conditions import Condition, Load, Prescribed, traction
 from cosserat_fx.effects import numerics
+from cosserat_fx.forms import loads
 from cosserat_fx.forms.walls import rolling_rotation
+from cosserat_fx.initial_state import void_ratio_of
+from cosserat_fx.layer_schema import Wall
+from cosserat_fx.measured_field import FieldFileError
+from cosserat_fx.meshfile import MeshError
 from cosserat_fx.newton import NewtonSolver, PetscOption
 from cosserat_fx.path import Path, Waypoint
 from cosserat_fx.problem import Problem
-from cosserat_fx.scene import Scene
-from cosserat_fx.schema import Wall
+from cosserat_fx.refusals import scene_error
+from cosserat_fx.scene import LayerScene
 from cosserat_fx.stepping import StepControl, Stepper
 
 FIRST_STEP = 0.0025
@@ -31,31 +36,42 @@ class Layer:
         stepper: walks it along the path.
         path: wall displacements and normal stress over the travel.
         stations: travel along the path at which profiles are asked for (m).
+        warnings: what the user should know before it starts.
     """
 
-    scene: Scene
+    scene: LayerScene
     problem: Problem
     stepper: Stepper
     path: Path
     stations: tuple[float, ...]
+    warnings: tuple[str, ...]
 
 
-def build(scene: Scene, comm: MPI.Intracomm, options: dict[str, PetscOption] | None = None) -> Layer:
-    """Set up the layer of a scene.
+def build(scene: LayerScene, comm: MPI.Intracomm, options: dict[str, PetscOption] | None = None) -> Layer:
+    """Set up the layer of a scene. Collective.
 
     Args:
         scene: the validated scene.
         comm: the ranks that share the mesh.
         options: PETSc options (without prefix) that go before the scene's own.
+
+    Raises:
+        SceneError: the file of a measured void ratio cannot be used.
     """
     path = layer_path(scene)
+    body = geometry.layer(scene.geometry.height, scene.geometry.cells, comm)
+    chosen = numerics(scene, scene.geometry.height, "interval")
+    try:
+        void_ratio = void_ratio_of(scene, body, chosen.degree)
+    except (FieldFileError, MeshError) as error:
+        raise scene_error(error) from error
     problem = Problem(
-        geometry.layer(scene.geometry.height, scene.geometry.cells, comm),
+        body,
         scene.material,
         conditions(scene, path),
         stress=scene.initial.stress,
-        void_ratio=scene.initial.void_ratio,
-        numerics=numerics(scene),
+        void_ratio=void_ratio.values,
+        numerics=chosen,
     )
     solver = NewtonSolver(
         problem,
@@ -66,14 +82,14 @@ def build(scene: Scene, comm: MPI.Intracomm, options: dict[str, PetscOption] | N
     legs_before = len(path.corners) - 1 - len(scene.legs)
     stations = tuple(path.at(legs_before + station.leg, station.fraction) for station in scene.profile_stations)
     stepper = Stepper(problem, solver, path.corners, stations, step_control(scene))
-    return Layer(scene, problem, stepper, path, stations)
+    return Layer(scene, problem, stepper, path, stations, void_ratio.warnings)
 
 
-def layer_path(scene: Scene) -> Path:
-    """The path of the walls; first, where it differs from the initial stress, the normal stress is brought up."""
+def layer_path(scene: LayerScene) -> Path:
+    """The path of the walls; before it, weight and a normal stress other than the initial one are brought up."""
     waypoints = []
     normal = scene.walls.top.normal_stress
-    loading = normal is not None and normal != scene.initial.stress
+    loading = scene.weight is not None or (normal is not None and normal != scene.initial.stress)
     if loading:
         # The walls rest meanwhile; the mean grain diameter stands in for their travel.
         waypoints.append(Waypoint(0.0, 0.0, scene.material.d50))
@@ -85,19 +101,27 @@ def layer_path(scene: Scene) -> Path:
     return Path(waypoints, initial_load=0.0 if loading else 1.0)
 
 
-def conditions(scene: Scene, path: Path) -> list[Condition]:
-    """Boundary conditions of both walls."""
+def conditions(scene: LayerScene, path: Path) -> list[Condition]:
+    """Boundary conditions of both walls, and weight."""
     walls, d50, polar = scene.walls, scene.material.d50, scene.effects.polar
     top, initial = walls.top, scene.initial.stress
-    listed = [
+    listed: list[Condition] = [
         *_wall_conditions("bottom", walls.bottom, path.bottom, -1, d50, polar),
         *_wall_conditions("top", top, path.top, +1, d50, polar),
         Prescribed("bottom", "u2", lambda travel: 0.0),
+        *_weight(scene, path),
     ]
     if top.normal_stress is None:
         return [*listed, Prescribed("top", "u2", lambda travel: 0.0)]
     change = top.normal_stress - initial
-    return [*listed, Traction("top", lambda travel: (0.0, initial + path.load(travel) * change))]
+    return [*listed, traction("top", lambda travel: (0.0, initial + path.load(travel) * change))]
+
+
+def _weight(scene: LayerScene, path: Path) -> list[Load]:
+    if scene.weight is None:
+        return []
+    full = scene.weight.density * scene.weight.gravity
+    return [Load(lambda g, u, w, v, q, dx: loads.weight_work(g[0], v, dx), lambda travel: (full * path.load(travel),))]
 
 
 def _wall_conditions(
@@ -111,7 +135,7 @@ def _wall_conditions(
     return given
 
 
-def step_control(scene: Scene) -> StepControl:
+def step_control(scene: LayerScene) -> StepControl:
     """Step sizes as the scene asks for them, or from the layer's height."""
     asked = scene.stepping
     first = asked.first_step or min(FIRST_STEP * scene.geometry.height, asked.max_step or float("inf"))
@@ -119,5 +143,6 @@ def step_control(scene: Scene) -> StepControl:
         first=first,
         largest=asked.max_step or float("inf"),
         smallest=asked.min_step or 0.0,
+        branch=asked.branch or "primary",
         max_steps=asked.max_steps,
     )

@@ -14,20 +14,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import ListedColormap, Normalize
+from matplotlib.colors import Normalize
 from matplotlib.image import imread
 
-from cosserat_fx.page import DPI, WIDTH, figure, labels, layer_height
+from cosserat_fx.page import DPI, LOOSE, WIDTH, figure, labels, layer_height
 from cosserat_fx.results import Run, Table
 from cosserat_fx.typing import Array
 
 type Renderer = Literal["pyvista", "matplotlib"]
-
-_MAP = ListedColormap(mpl.colormaps["YlGnBu_r"](np.linspace(0.3, 1.0, 256)), "light where loose")
 
 
 @dataclass(frozen=True)
@@ -76,11 +73,11 @@ def draw_layer(run: Run, file: Path, renderer: Renderer | None = None) -> Render
         for column in columns:
             if image is None:
                 mesh = (column.x, column.y, column.void_ratio)
-                axes.pcolormesh(*mesh, norm=colours, cmap=_MAP, shading="gouraud")
+                axes.pcolormesh(*mesh, norm=colours, cmap=LOOSE, shading="gouraud")
             _draw_grid(axes, column)
         _draw_ruler(axes, extent[0] - 2.0 * pad, height)
         axes.set(xlim=(extent[0] - 3.0 * pad, extent[1] + pad), ylim=(extent[2] - pad, extent[3] + pad))
-        shades = ScalarMappable(colours, _MAP)
+        shades = ScalarMappable(colours, LOOSE)
         sheet.colorbar(shades, ax=axes, label="void ratio $e$", location="bottom", shrink=0.5, aspect=40.0)
     return "matplotlib" if image is None else "pyvista"
 
@@ -106,7 +103,7 @@ def paint_columns(sheet: str, image: str) -> None:
     for x, y, void_ratio in columns:
         grid = pyvista.StructuredGrid(x, y, np.zeros_like(x))
         grid["void ratio"] = void_ratio.ravel(order="F")
-        plotter.add_mesh(grid, cmap=_MAP, clim=limits, lighting=False, show_scalar_bar=False)
+        plotter.add_mesh(grid, cmap=LOOSE, clim=limits, lighting=False, show_scalar_bar=False)
     middle = (0.5 * (left + right), 0.5 * (bottom + top))
     plotter.camera_position = [(*middle, right - left), (*middle, 0.0), (0.0, 1.0, 0.0)]
     plotter.enable_parallel_projection()

@@ -102,9 +102,11 @@ class Layout:
         raise KeyError((i, j))
 
 
-def layout(dimension: Dimension, *, polar: bool = True) -> Layout:
-    """The components of a layer, plane or solid problem, polar (Cosserat) or classical."""
-    components = _COMPONENTS[dimension]
+def layout(dimension: Dimension, *, polar: bool = True, spin: bool = True) -> Layout:
+    """The components of a layer, plane or solid problem, polar (Cosserat) or classical, with spin increments or not."""
+    components = dict(_COMPONENTS[dimension])
+    if not spin:
+        components["spin"] = ()
     if polar:
         return Layout(dimension, True, **components)
     upper = {kind: tuple(c for c in _SYMMETRIC if c in components[kind]) for kind in ("strain", "stress")}

@@ -210,6 +210,27 @@ class Material:
         reduction = np.exp(-((3 * mean_pressure / self.h_s) ** self.n))
         return CharacteristicVoidRatios(self.e_i0 * reduction, self.e_c0 * reduction, self.e_d0 * reduction)
 
+    def stiffness_factor[Number: (float, Array)](self, mean_pressure: Number, void_ratio: Number) -> Number:
+        """Returns the factor f_s = (e_i/e)^beta f_b of the rate law, Pa.
+
+        Args:
+            mean_pressure: p > 0, Pa, a number or an array.
+            void_ratio: e > 0, a number or an array.
+        """
+        e_i = self.characteristic_void_ratios(mean_pressure).e_i
+        f_b = self.h_s / (self.n * self.h_i) * (1 + e_i) / e_i * (3 * mean_pressure / self.h_s) ** (1 - self.n)
+        f_s: Number = (e_i / void_ratio) ** self.beta * f_b
+        return f_s
+
+    def shear_stiffness(self, mean_pressure: float, void_ratio: Array) -> Array:
+        """Returns the stiffness ds12/d(eps12) = f_s a_0^2 of the law's linear part in an isotropic state, Pa."""
+        return self.stiffness_factor(np.full_like(void_ratio, mean_pressure), void_ratio) * self.a_isotropic**2
+
+    @property
+    def couple_over_shear_stiffness(self) -> float:
+        """Stiffness of the couple stress, f_s a_c^2 d50^2, over the shear stiffness in an isotropic state, m2."""
+        return (self.a_c * self.d50 / self.a_isotropic) ** 2
+
     def kernel_parameters(self) -> KernelConstants:
         """Returns the constants in the form in which the compiled kernel takes them."""
         return KernelConstants(

@@ -8,12 +8,12 @@ more. And a state that the law cannot reach gives an infinite residual, from whi
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from weakref import WeakMethod
 
 import numpy as np
 
-from cosserat_fx._compat import MPI, PETSc
+from cosserat_fx._compat import MPI, PETSc, dolfinx
 from cosserat_fx.problem import Failure, Problem
 
 PetscOption = str | int | float | bool
@@ -25,6 +25,7 @@ _DEFAULTS: dict[str, PetscOption] = {
     "pc_type": "lu",
     "pc_factor_mat_solver_type": "mumps",
 }
+_MUMPS_DETERMINANT = 33
 _ADAPTING_ITERATIONS = 2
 _RECHECKS = 3
 _PREFIX = "cosserat_"
@@ -46,12 +47,18 @@ class Solution:
         iterations: Newton iterations.
         reason: why not, where it is not.
         residual: norm of the out-of-balance forces relative to that of the internal forces.
+        stable: False where the tangent's determinant is negative, as it is with an odd number of negative eigenvalues.
     """
 
     converged: bool
     iterations: int
     reason: str
     residual: float
+    stable: bool = True
+
+    def after(self, iterations: int) -> Solution:
+        """The same, with the iterations of earlier attempts counted in."""
+        return replace(self, iterations=self.iterations + iterations)
 
 
 class NewtonSolver:
@@ -81,7 +88,7 @@ class NewtonSolver:
         self._problem = problem
         self._tolerance = tolerance
         self._failure: Failure | None = None
-        self._frozen = False
+        self._frozen = self._asked_for_determinant = False
         self._evaluated = problem.vector.duplicate()
         self._x = problem.vector.duplicate()
 
@@ -115,7 +122,7 @@ class NewtonSolver:
             if failure := problem.update(adapt=True):
                 return Solution(False, iterations, str(failure), residual)
             if not problem.comm.allreduce(bool(np.any(before != problem.state.substeps)), op=MPI.LOR):
-                return Solution(True, iterations, "converged", residual)
+                return Solution(True, iterations, "converged", residual, stable=self._determinant_sign() >= 0)
             self._frozen = True
         return Solution(False, iterations, "the number of local substeps did not settle", residual)
 
@@ -133,7 +140,7 @@ class NewtonSolver:
             return False
         b = problem.vector
         problem.assemble_prediction(b)
-        problem.assemble_jacobian(problem.matrix)
+        self._assemble_jacobian(problem.matrix)
         ksp = self.snes.getKSP()
         ksp.setOperators(problem.matrix)
         with problem.stopwatch("linear solve"):
@@ -144,6 +151,32 @@ class NewtonSolver:
         problem.unknown.x.scatter_forward()
         problem.impose()
         return True
+
+    def apply_inverse(self, field: dolfinx.fem.Function) -> bool:
+        """Replace a field by the solution with it as right-hand side, with the tangent factorised last.
+
+        Returns:
+            Whether the linear system could be solved.
+        """
+        b = self._problem.vector
+        b.array_w[:] = field.x.array[: b.getLocalSize()]
+        ksp = self.snes.getKSP()
+        ksp.solve(b, self._x)
+        field.x.array[: b.getLocalSize()] = self._x.array_r
+        field.x.scatter_forward()
+        return bool(ksp.getConvergedReason() > 0)
+
+    @property
+    def sees_branches(self) -> bool:
+        """Whether the tangent's determinant is known: MUMPS tells it, other solvers do not."""
+        pc = self.snes.getKSP().getPC()
+        return bool(pc.getType() == "lu" and pc.getFactorSolverType() == "mumps")
+
+    def _determinant_sign(self) -> int:
+        """Sign of the determinant of the tangent factorised last, 0 where it is unknown."""
+        if not self.sees_branches or not self.snes.getIterationNumber():
+            return 0
+        return int(np.sign(self.snes.getKSP().getPC().getFactorMatrix().getMumpsRinfog(12)))
 
     def _residual(self, snes: PETSc.SNES, x: PETSc.Vec, b: PETSc.Vec) -> None:
         """Residual callback; a state that cannot be reached has an infinite one."""
@@ -157,7 +190,17 @@ class NewtonSolver:
         """Jacobian callback; the tangent of the last residual serves where the point is the same."""
         if not self._evaluated.equal(x):
             self._evaluate(x, adapt=False)
-        self._problem.assemble_jacobian(p)
+        self._assemble_jacobian(p)
+
+    def _assemble_jacobian(self, a: PETSc.Mat) -> None:
+        """Assemble the Jacobian; before its first factorisation, ask MUMPS for its determinant."""
+        self._problem.assemble_jacobian(a)
+        if self.sees_branches and not self._asked_for_determinant:
+            ksp = self.snes.getKSP()
+            ksp.setOperators(a)
+            ksp.getPC().setFactorSetUpSolverType()
+            ksp.getPC().getFactorMatrix().setMumpsIcntl(_MUMPS_DETERMINANT, 1)
+            self._asked_for_determinant = True
 
     def _evaluate(self, x: PETSc.Vec, *, adapt: bool) -> bool:
         """Update the trial state at a point; False, on every rank, where the law cannot."""

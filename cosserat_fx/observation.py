@@ -1,4 +1,4 @@
-"""What a layer shows after a step: the row of its history, its profiles, its nodes. Every rank takes part."""
+"""What a body shows after a step; a layer: the row of its history, its profiles, its nodes. Every rank takes part."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from cosserat_fx._compat import MPI, dolfinx, evaluate
 from cosserat_fx.conditions import Field
 from cosserat_fx.hypoplasticity import Status
 from cosserat_fx.layer import Layer
+from cosserat_fx.problem import Problem
 from cosserat_fx.stepping import Step
 from cosserat_fx.typing import Array
 from cosserat_fx.weakform import split
@@ -20,8 +21,8 @@ from cosserat_fx.weakform import split
 type Row = dict[str, float | int]
 type Columns = dict[str, Array]
 
-_STRESSES = {"s11_Pa": (0, 0), "s22_Pa": (1, 1), "s33_Pa": (2, 2), "s12_Pa": (0, 1), "s21_Pa": (1, 0)}
-_COUPLES = {"m31_N_per_m": (2, 0), "m32_N_per_m": (2, 1)}
+STRESSES = {"s11_Pa": (0, 0), "s22_Pa": (1, 1), "s33_Pa": (2, 2), "s12_Pa": (0, 1), "s21_Pa": (1, 0)}
+COUPLES = {"m31_N_per_m": (2, 0), "m32_N_per_m": (2, 1)}
 
 
 @dataclass(frozen=True)
@@ -30,11 +31,31 @@ class Looseness:
 
     Attributes:
         count: how many.
-        height: the height of one of them (m).
+        first: reference coordinates of the first of them (m): the lowest one of a layer.
     """
 
     count: int
-    height: float
+    first: tuple[float, ...]
+
+    @property
+    def place(self) -> str:
+        """Its coordinates in words."""
+        names = ("y",) if len(self.first) == 1 else ("x", "y", "z")
+        return ", ".join(f"{name} = {x:.6g} m" for name, x in zip(names, self.first, strict=False))
+
+
+def looseness(problem: Problem) -> Looseness | None:
+    """Where the void ratio exceeds e_i, the law's physical range, if it does; the same on every rank."""
+    state = problem.state
+    loose = state.coordinates[state.status[state.points] == Status.LOOSER_THAN_E_I]
+    places = [tuple(place) for part in problem.comm.allgather(loose.tolist()) for place in part]
+    return Looseness(len(places), min(places)) if places else None
+
+
+def largest(problem: Problem, values: npt.NDArray[Any]) -> float:
+    """Largest value over all ranks; a rank may have none."""
+    own = float(values.max()) if values.size else -np.inf
+    return float(problem.comm.allreduce(own, op=MPI.MAX))
 
 
 class LayerObserver:
@@ -63,14 +84,14 @@ class LayerObserver:
             "normal_stress_Pa": normal,
             "height_change_m": problem.boundary_mean("top", "u2"),
             "newton_iterations": step.iterations,
-            "void_ratio_max": self._largest(e),
-            "void_ratio_min": -self._largest(-e),
+            "void_ratio_max": largest(problem, e),
+            "void_ratio_min": -largest(problem, -e),
             "bottom_displacement_m": path.bottom(step.travel),
             "step_size_m": step.size,
             "cutbacks": step.cutbacks,
-            "substeps_max": int(self._largest(problem.state.substeps[problem.state.points])),
+            "substeps_max": int(largest(problem, problem.state.substeps[problem.state.points])),
             "mobilised_friction": abs(shear / normal),
-            "max_shear_strain": self._largest(np.abs(strain)),
+            "max_shear_strain": largest(problem, np.abs(strain)),
         }
 
     def profile(self, step: int, travel: float) -> Columns | None:
@@ -91,8 +112,8 @@ class LayerObserver:
             "void_ratio": state.e_n[state.points],
             "shear_strain": values[:, 2],
         }
-        own |= {name: forces[:, layout.stress_index(*c)] for name, c in _STRESSES.items()}
-        for name, component in _COUPLES.items():
+        own |= {name: forces[:, layout.stress_index(*c)] for name, c in STRESSES.items()}
+        for name, component in COUPLES.items():
             slot = len(layout.stress) + layout.couple.index(component) if layout.polar else None
             own[name] = np.zeros(len(values)) if slot is None else forces[:, slot]
         gathered = self._problem.comm.gather(own)
@@ -120,18 +141,7 @@ class LayerObserver:
         upwards = np.argsort(columns["y_m"], kind="stable")
         return {name: column[upwards] for name, column in columns.items()}
 
-    def looseness(self) -> Looseness | None:
-        """Where the void ratio exceeds e_i, the law's physical range, if it does."""
-        state = self._problem.state
-        loose = state.coordinates[state.status[state.points] == Status.LOOSER_THAN_E_I, 0]
-        heights = [y for part in self._problem.comm.allgather(loose.tolist()) for y in part]
-        return Looseness(len(heights), min(heights)) if heights else None
-
     def _at_points(self) -> Array:
         """u1, u2, du1/dx2 (and w) at this rank's quadrature points."""
         evaluate(self._expression, self._problem.geometry.mesh, self._problem.state.cells, self._values)
         return self._values
-
-    def _largest(self, values: npt.NDArray[Any]) -> float:
-        largest = float(values.max()) if values.size else -np.inf
-        return float(self._problem.comm.allreduce(largest, op=MPI.MAX))

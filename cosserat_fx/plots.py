@@ -1,4 +1,4 @@
-"""Figures of a run: its history, the profiles across the layer and the deformed layer.
+"""Figures of a run; of a layer: its history, the profiles across it and the deformed layer.
 
 Everything is drawn from the run's folder, at the width of a printed page's text (16 cm). No display is needed:
 matplotlib draws on its Agg canvas.
@@ -14,12 +14,11 @@ import numpy as np
 
 from cosserat_fx.bands import wall_travel
 from cosserat_fx.layer_figure import draw_layer
-from cosserat_fx.page import figure, labels, layer_height
+from cosserat_fx.page import GUIDE, axis_range, figure, labels, layer_height
+from cosserat_fx.plane_figures import draw_plane
 from cosserat_fx.results import OutputError, Run, RunFolder, read_run
-from cosserat_fx.typing import Array
 
 _DASHES = ("-", (0, (6, 1.5)), (0, (5, 1.5, 1, 1.5)), (0, (1, 1)), (0, (9, 1.5, 1, 1.5, 1, 1.5)), (0, (3, 1)))
-_GUIDE = {"color": "0.6", "linewidth": 0.6, "zorder": 0}
 _SHADES = mpl.colormaps["cividis"]
 
 
@@ -45,14 +44,16 @@ _PANELS = (
 )
 
 
-def draw_all(run_folder: Path) -> list[Path]:
+def draw_all(run_folder: Path, *, animation: bool = True) -> list[Path]:
     """Draw every figure which the run has data for into its folder ``figures``.
 
     Args:
         run_folder: the run's folder.
+        animation: whether to draw that as well, of a plane body.
 
     Returns:
-        The files drawn: ``history.png``, ``profiles.png``, ``layer.png``; fewer where the run ended early.
+        The files drawn: of a layer ``history.png``, ``profiles.png``, ``layer.png``, of a plane body ``history.png``,
+        ``state_01.png`` and so on, ``shear_strain.gif``; fewer where the run ended early.
 
     Raises:
         OutputError: the folder is not a run, or a figure cannot be written.
@@ -62,6 +63,8 @@ def draw_all(run_folder: Path) -> list[Path]:
     drawn = []
     try:
         folder.mkdir(exist_ok=True)
+        if run.kind != "layer":
+            return draw_plane(run, folder, animation=animation)
         if run.history["step"].size:
             drawn.append(folder / "history.png")
             draw_history(run, drawn[-1])
@@ -92,11 +95,11 @@ def draw_history(run: Run, file: Path) -> None:
         above, below = sheet.subplots(2, 1, sharex=True, height_ratios=(3, 2))
         curves = above.plot(travel, shear, "k-", label=r"shear stress $\sigma_{12}$")
         above.set_ylabel(r"shear stress $\sigma_{12}$ (kPa)")
-        above.set_ylim(*_range(shear))
+        above.set_ylim(*axis_range(shear))
         above.tick_params(right=False)
         below.plot(travel, rise, "k-")
         below.set_ylabel(r"height change $\Delta h$ (mm)")
-        below.set_ylim(*_range(rise, least=layer_height(run)))
+        below.set_ylim(*axis_range(rise, least=layer_height(run)))
         below.set_xlabel("travel of the top wall relative to the bottom wall (mm)")
         friction = r"mobilised friction $\sigma_{12}\,/\,|\sigma_{22}|$"
         if np.ptp(normal) <= 1e-6 * normal.max():
@@ -106,11 +109,11 @@ def draw_history(run: Run, file: Path) -> None:
             right = above.twinx()
             curves += right.plot(travel, shear / normal, color="0.45", linestyle=_DASHES[1], label=friction)
             right.set_ylabel(friction)
-            right.set_ylim(*_range(shear / normal))
+            right.set_ylim(*axis_range(shear / normal))
             above.legend(handles=curves)
         marked = np.isin(history["step"], run.profiles["step"])
         for axes, values in ((above, shear), (below, rise)):
-            axes.axhline(0.0, **_GUIDE)
+            axes.axhline(0.0, **GUIDE)
             axes.plot(travel[marked], values[marked], "ko", markerfacecolor="white", markersize=4.0)
 
 
@@ -140,10 +143,10 @@ def draw_profiles(run: Run, file: Path) -> None:
             shared = [panel.factor * run.profiles[other.column] for other in _PANELS if other.scale == panel.scale]
             if panel.column == "void_ratio" and critical is not None:
                 shared.append(np.array([critical]))
-                axes.axvline(critical, **_GUIDE)
+                axes.axvline(critical, **GUIDE)
                 axes.annotate("$e_c$", (critical, height), (-2, -3), textcoords="offset points", ha="right", va="top")
-            axes.set_xlim(*_range(np.concatenate(shared)))
-            axes.axvline(0.0, **_GUIDE)
+            axes.set_xlim(*axis_range(np.concatenate(shared)))
+            axes.axvline(0.0, **GUIDE)
             axes.set_xlabel(panel.label)
         for axes in grid[:, 0]:
             axes.set_ylabel("height $y$ (mm)")
@@ -158,11 +161,3 @@ def draw_profiles(run: Run, file: Path) -> None:
             handlelength=3.2,
             columnspacing=1.2,
         )
-
-
-def _range(values: Array, least: float = 0.0) -> tuple[float, float]:
-    """Limits of an axis that spans at least so much and two per cent of the values, so that noise stays flat."""
-    low, high = float(values.min()), float(values.max())
-    span = max(high - low, least, 0.02 * abs(low), 0.02 * abs(high)) or 1.0
-    middle = 0.5 * (low + high)
-    return middle - 0.56 * span, middle + 0.56 * span

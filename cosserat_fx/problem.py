@@ -10,11 +10,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from cosserat_fx import weakform
 from cosserat_fx._compat import MPI, PETSc, dolfinx, evaluate
-from cosserat_fx.conditions import Condition, Field, Prescribed
+from cosserat_fx.conditions import Condition, Field, Point, Prescribed
+from cosserat_fx.dirichlet import PrescribedValues, field_spaces, nodes_of
 from cosserat_fx.geometry import Geometry
 from cosserat_fx.hypoplasticity import FIRST_FAILURE, REASONS, Status
 from cosserat_fx.layout import layout
@@ -22,7 +22,7 @@ from cosserat_fx.material import Material
 from cosserat_fx.state import QuadratureState
 from cosserat_fx.timing import Stopwatch
 from cosserat_fx.typing import Array
-from cosserat_fx.weakform import Numerics
+from cosserat_fx.weakform import Numerics, Stiffness
 
 
 @dataclass(frozen=True)
@@ -52,6 +52,9 @@ class Problem:
         unknown: displacement (and rotation) at the end of the step, trial.
         committed: the same at the start of the step.
         state: stresses and void ratio at the quadrature points.
+        fields: the unknown's scalar fields by name.
+        prescribed: displacements and rotations that are given.
+        internal_work: done by the stresses (and the stabilisation) since the start (J/m2 in a layer, J/m in a plane).
         stopwatch: seconds by phase.
     """
 
@@ -62,7 +65,7 @@ class Problem:
         conditions: Sequence[Condition],
         *,
         stress: float,
-        void_ratio: float,
+        void_ratio: float | Array,
         numerics: Numerics | None = None,
     ) -> None:
         """Set up forms, fields and conditions; compiled code comes from the caches where it can.
@@ -72,7 +75,7 @@ class Problem:
             material: constants of the law.
             conditions: boundary conditions; boundaries without one are free of traction and couple traction.
             stress: initial isotropic stress (Pa, tension positive).
-            void_ratio: initial void ratio.
+            void_ratio: initial void ratio, uniform or (m,) at this rank's own quadrature points, cell by cell.
             numerics: effects and integration; a finite-strain Cosserat body by default.
         """
         self.geometry, self.material = geometry, material
@@ -80,44 +83,42 @@ class Problem:
         self.stopwatch = Stopwatch()
         mesh = geometry.mesh
         self.comm: MPI.Intracomm = mesh.comm
-        self.layout = layout(geometry.dimension, polar=numerics.polar)
+        spin = numerics.spin != "none"
+        self.layout = layout(geometry.dimension, polar=numerics.polar, spin=spin)
         self.state = QuadratureState(
             mesh,
             self.layout,
             material,
             degree=numerics.degree,
-            spin=numerics.spin != "none",
+            spin=spin,
             void_ratio=numerics.void_ratio,
             tolerance=numerics.local_tolerance,
         )
         self.state.initialise(stress, void_ratio)
 
-        self.space = dolfinx.fem.functionspace(mesh, weakform.element(mesh, polar=numerics.polar))
+        self.space = dolfinx.fem.functionspace(mesh, weakform.element(mesh, polar=numerics.polar, order=numerics.order))
         self.unknown = dolfinx.fem.Function(self.space, name="unknown")
         self.committed = dolfinx.fem.Function(self.space, name="committed")
         self._form = weakform.build(
-            geometry, numerics, self.state, conditions, self.unknown, self.committed, length=material.d50
+            geometry,
+            numerics,
+            self.state,
+            conditions,
+            self.unknown,
+            self.committed,
+            self._hourglass_stiffness(stress) if numerics.hourglass else None,
+            length=material.d50,
         )
         self._increments = np.zeros((len(self.state.points), self.layout.n_inputs))
 
-        self._prescribed = [c for c in conditions if isinstance(c, Prescribed)]
-        self._dofs = [self._locate(c.boundary, c.field) for c in self._prescribed]
-        self._values = [dolfinx.fem.Constant(mesh, 0.0) for _ in self._prescribed]
-        self._bcs = [
-            dolfinx.fem.dirichletbc(value, dofs, self._subspace(c.field))
-            for c, dofs, value in zip(self._prescribed, self._dofs, self._values, strict=True)
-        ]
+        self.fields = field_spaces(self.space, polar=numerics.polar)
+        self.prescribed = PrescribedValues(geometry, self.fields, [c for c in conditions if isinstance(c, Prescribed)])
         self.matrix = dolfinx.fem.petsc.create_matrix(self._form.jacobian)
         self.vector = dolfinx.fem.petsc.assemble_vector(self._form.residual)
+        self.internal_work = 0.0
+        self._internal_forces = self._assembled(self._form.internal)
 
     # -- fields ----------------------------------------------------------------------------------------------------
-
-    def _subspace(self, field: Field) -> dolfinx.fem.FunctionSpace:
-        """The space of one scalar field."""
-        if field == "w":
-            return self.space.sub(1)
-        displacement = self.space.sub(0) if self.numerics.polar else self.space
-        return displacement.sub(int(field[1]) - 1)
 
     def nodal_values(self, field: Field) -> tuple[Array, Array]:
         """This rank's own nodes and the values of a committed field there.
@@ -125,29 +126,28 @@ class Problem:
         Returns:
             Reference coordinates (m, gdim) in m and values (m,) in m or rad.
         """
-        space = self._subspace(field)
-        collapsed, dofs = space.collapse()
-        own = collapsed.dofmap.index_map.size_local
-        flat = np.asarray(dofs).reshape(-1)[:own]
-        gdim = self.geometry.mesh.geometry.dim
-        return collapsed.tabulate_dof_coordinates()[:own, :gdim], self.committed.x.array[flat]
+        part = self.fields[field]
+        return part.coordinates[: part.owned], self.committed.x.array[part.dofs[: part.owned]]
 
     def boundary_mean(self, boundary: str, field: Field) -> float:
         """Mean of a committed field over the nodes of a boundary (m or rad)."""
-        dofs = self._locate(boundary, field)
-        own = self.space.dofmap.index_map.size_local * self.space.dofmap.index_map_bs
-        values = self.committed.x.array[dofs[dofs < own]]
+        part = self.fields[field]
+        nodes = nodes_of(self.geometry, part, boundary)
+        values = self.committed.x.array[part.dofs[nodes[nodes < part.owned]]]
         total, count = self.comm.allreduce(np.array([values.sum(), len(values)]))
         return float(total / count)
 
     # -- set-up ----------------------------------------------------------------------------------------------------
 
-    def _locate(self, boundary: str, field: Field) -> npt.NDArray[np.int32]:
-        """Degrees of freedom of a field on a boundary."""
-        dim = self.geometry.mesh.topology.dim - 1
-        facets = self.geometry.boundaries[boundary]
-        dofs: npt.NDArray[np.int32] = dolfinx.fem.locate_dofs_topological(self._subspace(field), dim, facets)
-        return dofs
+    def _hourglass_stiffness(self, stress: float) -> Stiffness:
+        """The initial elastic stiffness of every cell, times the factor of the stabilisation."""
+        mesh = self.geometry.mesh
+        shear = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("Discontinuous Lagrange", 0)))
+        initial = self.material.shear_stiffness(-stress, self.state.e_n[self.state.points])
+        shear.x.array[self.state.cells] = self.numerics.hourglass * initial.reshape(len(self.state.cells), -1).mean(
+            axis=1
+        )
+        return Stiffness(shear, shear * self.material.couple_over_shear_stiffness)
 
     @property
     def sizes(self) -> dict[str, int]:
@@ -165,15 +165,13 @@ class Problem:
 
     def apply(self, travel: float) -> None:
         """Set tractions and prescribed values to those at a travel (m) along the path."""
-        for traction, value in self._form.tractions:
-            value.value[:] = traction.value(travel)
-        for prescribed, constant in zip(self._prescribed, self._values, strict=True):
-            constant.value = prescribed.value(travel)
+        for load, constant in self._form.loads:
+            constant.value[:] = load.value(travel)
+        self.prescribed.apply(travel)
 
     def impose(self) -> None:
         """Write the prescribed values into the unknown."""
-        for dofs, constant in zip(self._dofs, self._values, strict=True):
-            self.unknown.x.array[dofs] = constant.value
+        self.unknown.x.array[self.prescribed.dofs] = self.prescribed.values
 
     # -- residual and Jacobian -------------------------------------------------------------------------------------
 
@@ -209,16 +207,15 @@ class Problem:
         """Assemble the out-of-balance forces; prescribed entries hold unknown minus prescribed value."""
         with self.stopwatch("residual assembly"):
             _assemble(b, self._form.residual)
-            own = self.space.dofmap.index_map.size_local * self.space.dofmap.index_map_bs
-            for dofs, constant in zip(self._dofs, self._values, strict=True):
-                mine = dofs[dofs < own]
-                b.array_w[mine] = self.unknown.x.array[mine] - constant.value
+            dofs, values = self.prescribed.dofs, self.prescribed.values
+            mine = dofs < b.getLocalSize()
+            b.array_w[dofs[mine]] = self.unknown.x.array[dofs[mine]] - values[mine]
 
     def assemble_jacobian(self, a: PETSc.Mat) -> None:
         """Assemble the derivative of the residual, with unit rows and zero columns at prescribed entries."""
         with self.stopwatch("Jacobian assembly"):
             a.zeroEntries()
-            dolfinx.fem.petsc.assemble_matrix(a, self._form.jacobian, bcs=self._bcs)
+            dolfinx.fem.petsc.assemble_matrix(a, self._form.jacobian, bcs=self.prescribed.bcs)
             a.assemble()
 
     def assemble_prediction(self, b: PETSc.Vec) -> None:
@@ -227,33 +224,102 @@ class Problem:
             _assemble(b, self._form.residual, ghosts=False)
             with b.localForm() as local:
                 local.scale(-1.0)
-            dolfinx.fem.petsc.apply_lifting(b, [self._form.jacobian], [self._bcs], x0=[self.unknown.x.petsc_vec])
+            dolfinx.fem.petsc.apply_lifting(
+                b, [self._form.jacobian], [self.prescribed.bcs], x0=[self.unknown.x.petsc_vec]
+            )
             b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
-            dolfinx.fem.petsc.set_bc(b, self._bcs, x0=self.unknown.x.petsc_vec)
+            dolfinx.fem.petsc.set_bc(b, self.prescribed.bcs, x0=self.unknown.x.petsc_vec)
 
     # -- forces ----------------------------------------------------------------------------------------------------
 
-    def reactions(self) -> dict[tuple[str, Field], float]:
+    def reactions(self) -> dict[tuple[str | Point, Field], float]:
         """Force or couple (the latter over d50) with which each prescribed condition acts on the body.
 
-        Per unit of area in a layer (Pa), per unit of thickness in a plane (N/m); positive along the axes.
+        Per unit of area in a layer (Pa), per unit of thickness in a plane (N/m); positive along the axes. Nodes that
+        two conditions claim count for the first of them.
         """
-        _assemble(self.vector, self._form.residual)
-        own = self.vector.array_r
-        return {
-            (c.boundary, c.field): float(self.comm.allreduce(own[dofs[dofs < len(own)]].sum(), op=MPI.SUM))
-            for c, dofs in zip(self._prescribed, self._dofs, strict=True)
-        }
+        residual = self._assembled(self._form.residual)
+        sums = self.comm.allreduce(np.array([residual[dofs].sum() for dofs in self.prescribed.owned_dofs()]))
+        keys = [(c.boundary, c.field) for c in self.prescribed.conditions]
+        total: dict[tuple[str | Point, Field], float] = dict.fromkeys(keys, 0.0)
+        for key, value in zip(keys, np.atleast_1d(sums).tolist(), strict=True):
+            total[key] += value
+        return total
+
+    def boundary_forces(self) -> dict[str, dict[str, float]]:
+        """All that acts on the body at each boundary with conditions, by "force1", "force2" and "couple".
+
+        Forces in N/m and the couple in N, per unit of thickness; positive along the axes, and about x3.
+        """
+        names = {"u1": "force1", "u2": "force2", "w": "couple"}
+        acting: dict[str, dict[str, float]] = {}
+        for (place, field), value in self.reactions().items():
+            if isinstance(place, str):
+                acting.setdefault(place, dict.fromkeys(names.values(), 0.0))[names[field]] += value
+        for boundary, form in self._form.external.items():
+            if boundary is None:
+                continue
+            forces = self._assembled(form)
+            sums = [forces[f.dofs[: f.owned]].sum() for f in self.fields.values()]
+            row = acting.setdefault(boundary, dict.fromkeys(names.values(), 0.0))
+            for field, value in zip(self.fields, self.comm.allreduce(np.array(sums)).tolist(), strict=True):
+                row[names[field]] += value
+        for row in acting.values():
+            row["couple"] *= self.material.d50
+        return acting
+
+    def hourglass_energy(self) -> float:
+        """Elastic energy of the resistance to hourglass modes in the committed fields (J/m)."""
+        if self._form.stabilisation is None:
+            return 0.0
+        return self._work(self._assembled(self._form.stabilisation), self.unknown.x.array) / 2
+
+    def resistance(self, motions: Array) -> Array:
+        """Stiffness with which loads and resistances (without the body itself) oppose some motions.
+
+        Args:
+            motions: (n, k) changes of this rank's unknowns, the same motions on every rank. The loads are those applied
+                last.
+
+        Returns:
+            (k, k), symmetric part.
+        """
+        kept, columns = self.unknown.x.array.copy(), []
+        for change in (np.zeros(len(motions)), *motions.T):
+            self.unknown.x.array[:] = change
+            columns.append(sum((self._assembled(form) for form in self._form.external.values()), np.zeros(1)))
+        self.unknown.x.array[:] = kept
+        opposing = columns[0][:, None] - np.stack(columns[1:], axis=1)
+        stiffness: Array = self.comm.allreduce(motions[: len(opposing)].T @ opposing)
+        return (stiffness + stiffness.T) / 2
 
     def force_scale(self) -> float:
         """Norm of the internal forces, boundaries included: what an out-of-balance force is compared with."""
         _assemble(self.vector, self._form.internal)
         return float(self.vector.norm())
 
+    def _assembled(self, form: dolfinx.fem.Form) -> Array:
+        """This rank's own entries of an assembled vector."""
+        _assemble(self.vector, form)
+        own: Array = self.vector.array_r.copy()
+        return own
+
+    def _work(self, forces: Array, change: Array) -> float:
+        """Work of nodal forces on a change of the unknown; those of rotations are divided by d50."""
+        scale = np.ones(len(forces))
+        if "w" in self.fields:
+            rotation = self.fields["w"]
+            scale[rotation.dofs[: rotation.owned]] = self.material.d50
+        return float(self.comm.allreduce(np.dot(forces * scale, change[: len(forces)])))
+
     # -- commit and roll back ----------------------------------------------------------------------------------------
 
     def commit(self) -> None:
         """Accept the trial fields and state."""
+        forces = self._assembled(self._form.internal)
+        change = self.unknown.x.array - self.committed.x.array
+        self.internal_work += self._work((forces + self._internal_forces) / 2, change)
+        self._internal_forces = forces
         self.committed.x.array[:] = self.unknown.x.array
         self.state.commit()
 

@@ -1,13 +1,15 @@
 """A run's folder: written row by row while the simulation goes on, read back afterwards.
 
-``history.csv`` has one row per accepted step, ``profiles.csv`` one block of rows per requested displacement and
-``run.json`` the summary. Whole lines are appended and the summary is replaced in one move, so that a kill at any
-moment leaves a folder that :func:`read_run` reads. All numbers are in SI units, tension positive. Under MPI only
-rank 0 calls this module, with data already gathered.
+``history.csv`` has one row per accepted step under the columns of its header, ``profiles.csv`` (of a layer) one block
+of rows per requested displacement and ``run.json`` the summary. Whole lines are appended and the summary is replaced in
+one move, so that a kill at any moment leaves a folder that :func:`read_run` reads. All numbers are in SI units, tension
+positive. Under MPI only rank 0 calls this module, with data already gathered.
 """
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import os
 import shutil
@@ -41,7 +43,33 @@ HISTORY_COLUMNS = (
     "mobilised_friction",
     "max_shear_strain",
 )
-"""Columns of ``history.csv``; columns may be added, not renamed."""
+"""Columns of a layer's ``history.csv``; columns may be added, not renamed."""
+
+PLANE_COLUMNS = (
+    "step",
+    "travel_m",
+    "step_size_m",
+    "newton_iterations",
+    "cutbacks",
+    "branch_passages",
+    "substeps_max",
+    "void_ratio_max",
+    "void_ratio_min",
+    "max_shear_strain",
+    "internal_work_J_per_m",
+    "hourglass_energy_J_per_m",
+)
+"""First columns of a plane body's ``history.csv``, before those of its boundaries and those that the scene adds."""
+
+BOUNDARY_COLUMNS = {
+    "force1": "force1_N_per_m",
+    "force2": "force2_N_per_m",
+    "couple": "couple_N",
+    "u1": "u1_m",
+    "u2": "u2_m",
+    "w": "w_rad",
+}
+"""How the history's columns of a boundary end, by what they hold."""
 
 PROFILE_COLUMNS = (
     "top_displacement_m",
@@ -76,9 +104,13 @@ class RunFolder:
 
     Attributes:
         path: the folder.
+        columns: of ``history.csv``.
+        profile_columns: of ``profiles.csv``; without any there is no such file.
     """
 
     path: Path
+    columns: tuple[str, ...] = HISTORY_COLUMNS
+    profile_columns: tuple[str, ...] = PROFILE_COLUMNS
 
     @property
     def history(self) -> Path:
@@ -125,7 +157,13 @@ class RunFolder:
         return folder
 
     @classmethod
-    def create(cls, path: Path, overwrite: bool) -> Self:
+    def create(
+        cls,
+        path: Path,
+        overwrite: bool,
+        columns: tuple[str, ...] = HISTORY_COLUMNS,
+        profile_columns: tuple[str, ...] = PROFILE_COLUMNS,
+    ) -> Self:
         """Make the folder of a new run: headers only and a summary that says ``running``.
 
         Everything is checked before anything is touched. Missing parents are made and an existing empty folder is
@@ -134,20 +172,24 @@ class RunFolder:
         Args:
             path: the folder.
             overwrite: whether an earlier run there may be replaced.
+            columns: of the history.
+            profile_columns: of the profiles; without any there is no such file.
 
         Raises:
             OutputError: as :meth:`check` says, or the folder cannot be written after all.
         """
-        folder = cls.check(path, overwrite)
+        cls.check(path, overwrite)
+        folder = cls(path, columns, profile_columns)
         try:
             path.mkdir(parents=True, exist_ok=True)
             folder.write_summary({"format": FORMAT, "status": "running", "reason": None})
             for old in (folder.fields, folder.figures):
                 if old.exists():
                     shutil.rmtree(old)
-            for file, columns in ((folder.history, HISTORY_COLUMNS), (folder.profiles, PROFILE_COLUMNS)):
+            for file, names in ((folder.history, columns), (folder.profiles, profile_columns)):
                 file.unlink(missing_ok=True)
-                _append(file, ",".join(columns) + "\n")
+                if names:
+                    _append(file, _header(names))
         except OSError as error:
             raise OutputError(f"output folder {path}: cannot be written: {error.strerror or error}") from error
         return folder
@@ -156,29 +198,29 @@ class RunFolder:
         """Append one accepted step.
 
         Args:
-            row: a value for each of :data:`HISTORY_COLUMNS`.
+            row: a value for each of the history's columns.
 
         Raises:
             KeyError: a column is missing or unknown.
             OutputError: the file cannot be written.
         """
-        _check_columns("history", row, HISTORY_COLUMNS)
-        _append(self.history, _line([row[name] for name in HISTORY_COLUMNS]))
+        _check_columns("history", row, self.columns)
+        _append(self.history, _line([row[name] for name in self.columns]))
 
     def append_profile(self, block: Mapping[str, ArrayLike]) -> None:
         """Append the profiles at one displacement, in ascending order of height.
 
         Args:
-            block: for each of :data:`PROFILE_COLUMNS` an array of shape ``(points,)``, or one value for all points.
+            block: for each column of the profiles an array of shape ``(points,)``, or one value for all points.
 
         Raises:
             KeyError: a column is missing or unknown.
             ValueError: the columns differ in length.
             OutputError: the file cannot be written.
         """
-        _check_columns("profile", block, PROFILE_COLUMNS)
-        columns = np.broadcast_arrays(*(np.atleast_1d(block[name]) for name in PROFILE_COLUMNS))
-        upwards = np.argsort(columns[PROFILE_COLUMNS.index("y_m")], kind="stable")
+        _check_columns("profile", block, self.profile_columns)
+        columns = np.broadcast_arrays(*(np.atleast_1d(block[name]) for name in self.profile_columns))
+        upwards = np.argsort(columns[self.profile_columns.index("y_m")], kind="stable")
         rows = zip(*(column[upwards] for column in columns), strict=True)
         _append(self.profiles, "".join(_line(row) for row in rows))
 
@@ -210,7 +252,7 @@ class Run:
     Attributes:
         path: its folder.
         history: the columns of ``history.csv``.
-        profiles: the columns of ``profiles.csv``.
+        profiles: the columns of ``profiles.csv``; without rows where there is no such file.
         summary: the contents of ``run.json``.
     """
 
@@ -218,6 +260,11 @@ class Run:
     history: Table
     profiles: Table
     summary: dict[str, Any]
+
+    @property
+    def kind(self) -> str:
+        """Kind of the body, ``geometry.kind`` of its scene."""
+        return str(self.summary.get("scene", {}).get("geometry", {}).get("kind", "layer"))
 
     def profile_blocks(self) -> list[Table]:
         """The profiles split by requested displacement, in the order of the path.
@@ -255,7 +302,7 @@ def read_run(path: Path) -> Run:
         raise OutputError(f'{folder.summary}: not the summary of a run: "format": {FORMAT} is missing')
     return Run(
         path,
-        history=_read_table(folder.history, HISTORY_COLUMNS),
+        history=_read_table(folder.history, HISTORY_COLUMNS, PLANE_COLUMNS),
         profiles=_read_table(folder.profiles, PROFILE_COLUMNS),
         summary=summary,
     )
@@ -322,19 +369,29 @@ def _plain(value: object) -> object:
     raise TypeError(f"run.json cannot hold a {type(value).__name__}: {value!r}")
 
 
-def _read_table(file: Path, columns: Sequence[str]) -> Table:
-    """The whole lines of a table; a run killed before its first header has an empty one."""
+def _header(names: Sequence[str]) -> str:
+    """The first line of a table; names that hold a comma or a quotation mark are quoted."""
+    line = io.StringIO()
+    csv.writer(line, lineterminator="\n").writerow(names)
+    return line.getvalue()
+
+
+def _read_table(file: Path, *kinds: Sequence[str]) -> Table:
+    """The whole lines of a table, which holds at least the columns of one of the kinds.
+
+    A run killed before its first header has an empty table of the first kind.
+    """
     try:
         text = file.read_text(encoding="utf-8") if file.exists() else ""
-        header, *lines = text[: text.rfind("\n") + 1].splitlines() or [",".join(columns)]
-        names = header.split(",")
+        header, *lines = text[: text.rfind("\n") + 1].splitlines() or [_header(kinds[0])]
+        names = next(csv.reader([header]))
         rows = np.loadtxt(lines, delimiter=",", ndmin=2) if lines else np.empty((0, len(names)))
         table = dict(zip(names, rows.T.astype(np.float64), strict=True))
     except OSError as error:
         raise OutputError(f"{file}: cannot be read: {error.strerror or error}") from error
     except ValueError as error:
         raise OutputError(f"{file}: damaged: {error}") from error
-    missing = [name for name in columns if name not in table]
+    missing = min(([name for name in columns if name not in table] for columns in kinds), key=len)
     if missing:
         raise OutputError(f"{file}: damaged: columns {missing} are missing")
     return table

@@ -1,48 +1,68 @@
-"""The scene: read from a file, checked as a whole, or refused with one message that says what is wrong with it."""
+"""The scene: read from a file, checked as a whole, or refused with one message that says what is wrong with it.
 
-import json
-import tomllib
-import types
+`geometry.kind` decides which kind of scene it is: a layer or a plane body.
+"""
+
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
+from itertools import accumulate
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, Self, Union, get_args, get_origin
+from typing import Annotated, Any, Final, Self
 
-from annotated_types import Ge, Gt, Le, Lt, MaxLen, MinLen
-from pydantic import BeforeValidator, InstanceOf, ValidationError, model_validator
-from pydantic_core import ErrorDetails
+from pydantic import BeforeValidator, Discriminator, Field, InstanceOf, Tag, ValidationError, model_validator
 
-from cosserat_fx.material import AdmissibilityError, Material
-from cosserat_fx.schema import (
-    Effects,
-    Initial,
+from cosserat_fx.elements import choose
+from cosserat_fx.histories import Given, check_motions_start_at_rest, count_legs, histories, largest_range, leg_lengths
+from cosserat_fx.initial_schema import Initial
+from cosserat_fx.layer_schema import (
     LayerGeometry,
+    LayerOutput,
+    LayerSolver,
     Leg,
-    Output,
-    Solver,
     Station,
-    Stepping,
-    Table,
-    Unit,
     Walls,
     default_profiles,
     find_stations,
-    spell_key,
-    unknown_key,
 )
+from cosserat_fx.material import AdmissibilityError, Material
+from cosserat_fx.plane_checks import (
+    check_boundaries,
+    check_columns,
+    check_path_is_finite,
+    check_points,
+    check_rotations_exist,
+    check_something_happens,
+    displacement_groups,
+    reached,
+)
+from cosserat_fx.plane_schema import (
+    Boundary,
+    MeshGeometry,
+    PlaneOutput,
+    PlaneSolver,
+    Point,
+    RectangleGeometry,
+)
+from cosserat_fx.refusals import SceneError, either, line, refusal, shown
+from cosserat_fx.scene_file import apply_override, read_tables
+from cosserat_fx.schema import Effects, Output, Solver, Stepping, Table, Weight, spell_key, unknown_key
+
+__all__ = [
+    "DEFAULT_SET",
+    "LayerScene",
+    "PlaneScene",
+    "Scene",
+    "SceneError",
+    "load_scene",
+    "parse_scene",
+]
 
 DEFAULT_SET: Final = "paper-sand"
 """The material of a scene that names none."""
 
-MAX_FILE_SIZE: Final = 10_000_000
-"""Size above which a file is not taken for a scene, bytes."""
-_MAX_LINES: Final = 20
-"""Number of faults told at once."""
-_MAX_SHOWN: Final = 60
-"""Number of characters of a value repeated in a message."""
-
-_WORDS: Final = {float: "a finite number", int: "a whole number", str: "a string", bool: "true or false"}
-_BOUNDS: Final = ((Gt, "gt", "greater than"), (Ge, "ge", "of at least"), (Lt, "lt", "less than"), (Le, "le", "at most"))
+DEFAULT_KIND: Final = "layer"
+"""The geometry of a scene that names none."""
 
 
 def _resolve_material(table: object) -> object:
@@ -58,13 +78,13 @@ def _resolve_material(table: object) -> object:
 
 
 class Scene(Table):
-    """A whole scene, checked, with its defaults filled in."""
+    """What every scene has, checked, with its defaults filled in."""
 
     title: str = ""
-    geometry: LayerGeometry
+    geometry: Table
     material: Annotated[InstanceOf[Material], BeforeValidator(_resolve_material)] = Material.named(DEFAULT_SET)
     initial: Initial
-    walls: Walls
+    weight: Weight | None = None
     effects: Effects = Effects()
     stepping: Stepping = Stepping()
     solver: Solver = Solver()
@@ -72,23 +92,39 @@ class Scene(Table):
 
     @model_validator(mode="after")
     def _check_initial_density(self) -> Self:
-        pressure = -self.initial.stress
-        e_i, _, e_d = self.material.characteristic_void_ratios(pressure)
-        if not e_d < self.initial.void_ratio < e_i:
-            allowed = (
-                f"must be greater than e_d = {e_d:.6g} and less than e_i = {e_i:.6g}, "
-                f"the densest and the loosest state at the initial pressure of {pressure:g} Pa"
-            )
-            raise AdmissibilityError("initial.void_ratio", self.initial.void_ratio, allowed)
+        self.initial.check_density(self.material)
+        return self
+
+    @property
+    @abstractmethod
+    def largest_displacement(self) -> float:
+        """Largest difference over the path of displacements prescribed in the same direction, m."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Returns the scene with its defaults filled in, of types that JSON and TOML know; it parses to the same scene.
+
+        Material constants are spelled out, and what is left to the program (None) is left out.
+        """
+        return self.model_dump(mode="json", exclude_none=True)
+
+
+class LayerScene(Scene):
+    """The scene of an infinite layer between two walls."""
+
+    geometry: LayerGeometry
+    walls: Walls
+    solver: LayerSolver = LayerSolver()
+    output: LayerOutput = LayerOutput()
+
+    @model_validator(mode="after")
+    def _check_zones(self) -> Self:
+        self.initial.check_zones_of_layer(self.geometry.height)
         return self
 
     @model_validator(mode="after")
     def _check_rotation_exists(self) -> Self:
         for side, wall in (("bottom", self.walls.bottom), ("top", self.walls.top)):
-            for key, value in (("rolling", wall.rolling), ("f_r", wall.f_r)):
-                if value and not self.effects.polar:
-                    allowed = "must be 0 where effects.polar = false, as there is no rotation to prescribe"
-                    raise AdmissibilityError(f"walls.{side}.{key}", value, allowed)
+            wall.check_rotation_exists(f"walls.{side}", polar=self.effects.polar)
         return self
 
     @model_validator(mode="after")
@@ -105,28 +141,111 @@ class Scene(Table):
         return self.walls.legs
 
     @property
+    def largest_displacement(self) -> float:
+        """Largest relative displacement of the walls along x1, m."""
+        return max(abs(leg.travel) for leg in self.legs)
+
+    @property
     def profile_stations(self) -> tuple[Station, ...]:
         """Where on the path profiles are to be written, in the order of the path."""
         return find_stations(self.output.profiles_at or (), self.legs)
 
-    def as_dict(self) -> dict[str, Any]:
-        """Returns the scene with its defaults filled in, of types that JSON and TOML know; it parses to the same scene.
 
-        Material constants are spelled out, and what is left to the program (None) is left out.
-        """
-        return self.model_dump(mode="json", exclude_none=True)
+def _kind(geometry: object) -> object:
+    """Returns the kind that a geometry says it is."""
+    if isinstance(geometry, Mapping):
+        return geometry.get("kind", DEFAULT_KIND)
+    return getattr(geometry, "kind", DEFAULT_KIND)
 
 
-class SceneError(ValueError):
-    """A scene that cannot be used. Each line of the message names a key, its value and what is allowed."""
+class PlaneScene(Scene):
+    """The scene of a plane-strain body with conditions on its boundaries and points.
 
-    def __init__(self, message: str) -> None:
-        """Keeps the message, with what cannot be written as UTF-8 spelled out."""
-        super().__init__(message.encode("utf-8", "backslashreplace").decode())
+    Travel is the clock of its path (m). It is counted from the start of the first leg, after loads and weight have been
+    brought up.
+    """
+
+    geometry: Annotated[
+        Annotated[RectangleGeometry, Tag("rectangle")] | Annotated[MeshGeometry, Tag("mesh")], Discriminator(_kind)
+    ]
+    boundaries: dict[str, Boundary] = Field(default_factory=dict)
+    points: dict[str, Point] = Field(default_factory=dict)
+    solver: PlaneSolver = PlaneSolver()
+    output: PlaneOutput = PlaneOutput()
+
+    @model_validator(mode="after")
+    def _check_rectangle(self) -> Self:
+        if isinstance(self.geometry, RectangleGeometry):
+            self.initial.check_zones_of_rectangle(self.geometry.width, self.geometry.height)
+            check_points(self.points, self.geometry)
+            choose(self.solver.element, "quadrilateral")
+        return self
+
+    @model_validator(mode="after")
+    def _check_conditions(self) -> Self:
+        rectangle, polar = isinstance(self.geometry, RectangleGeometry), self.effects.polar
+        check_boundaries(self.boundaries, rectangle=rectangle)
+        check_columns(self.output.columns, self.boundaries, polar=polar, rectangle=rectangle)
+        check_rotations_exist(self.boundaries, self.points, polar=polar)
+        return self
+
+    @model_validator(mode="after")
+    def _check_path(self) -> Self:
+        check_motions_start_at_rest(self._histories)
+        count_legs(self._histories)
+        check_path_is_finite(self._histories, self.travel)
+        check_something_happens(
+            self._histories, self.boundaries, weight=self.weight is not None, stress=self.initial.stress
+        )
+        return self
+
+    @model_validator(mode="after")
+    def _fill_and_check_fields_at(self) -> Self:
+        ends = tuple(accumulate(self.leg_lengths))
+        asked = self.output.fields_at
+        travels = ends if asked is None else reached(asked, ends)
+        object.__setattr__(self, "output", self.output.model_copy(update={"fields_at": travels}))
+        return self
+
+    @property
+    def _histories(self) -> tuple[Given, ...]:
+        """All histories of the scene, with their keys."""
+        tables = {f"boundaries.{spell_key(name)}": table for name, table in self.boundaries.items()} | {
+            f"points.{spell_key(name)}": table for name, table in self.points.items()
+        }
+        return tuple(given for key, table in tables.items() for given in histories(table, key))
+
+    @property
+    def legs(self) -> int:
+        """Number of legs, without the one in which loads and weight are brought up."""
+        return count_legs(self._histories)
+
+    @property
+    def leg_lengths(self) -> tuple[float, ...]:
+        """Travel of each leg, m."""
+        return leg_lengths(self._histories, self.material.d50)
+
+    @property
+    def travel(self) -> float:
+        """Travel of the whole path, m."""
+        return sum(self.leg_lengths)
+
+    @property
+    def largest_displacement(self) -> float:
+        """Largest difference over the path of displacements prescribed in the same direction, m."""
+        return largest_range(displacement_groups(self._histories, self.boundaries), self.leg_lengths)
+
+    @property
+    def size(self) -> float | None:
+        """Smaller one of width and height of a rectangle, m; None for a mesh, which alone knows."""
+        return min(self.geometry.width, self.geometry.height) if isinstance(self.geometry, RectangleGeometry) else None
+
+
+_KINDS: Final[Mapping[str, type[Scene]]] = {"layer": LayerScene, "rectangle": PlaneScene, "mesh": PlaneScene}
 
 
 def load_scene(path: Path, overrides: Sequence[str] = ()) -> Scene:
-    """Reads and validates a scene file.
+    """Reads and validates a scene file. Files it names are looked for from its folder.
 
     Args:
         path: a TOML file.
@@ -136,163 +255,26 @@ def load_scene(path: Path, overrides: Sequence[str] = ()) -> Scene:
     Raises:
         SceneError: the file cannot be read, is no TOML, or does not describe an admissible scene.
     """
-    tables = _read(path)
+    tables = read_tables(path)
     for override in overrides:
-        _apply(override, tables)
-    return parse_scene(tables)
+        apply_override(override, tables)
+    return parse_scene(tables, path.parent)
 
 
-def parse_scene(tables: Mapping[str, object]) -> Scene:
+def parse_scene(tables: Mapping[str, object], folder: Path = Path()) -> Scene:
     """Validates the tables of a scene, as a TOML parser (or `Scene.as_dict`) gives them.
+
+    Args:
+        tables: the scene.
+        folder: where files are looked for that the scene names by a relative path.
 
     Raises:
         SceneError: they do not describe an admissible scene.
     """
+    kind = _kind(tables.get("geometry"))
+    if not isinstance(kind, str) or kind not in _KINDS:
+        raise SceneError(line("geometry.kind", kind, f"must be {either([shown(it) for it in _KINDS])}"))
     try:
-        return Scene.model_validate(dict(tables))
+        return _KINDS[kind].model_validate(dict(tables), context={"folder": folder})
     except ValidationError as error:
-        raise SceneError(_message(error)) from None
-
-
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        with path.open("rb") as file:
-            content = file.read(MAX_FILE_SIZE + 1)
-    except OSError as error:
-        raise SceneError(f"{path}: cannot be read as a scene file: {error.strerror}") from None
-    if len(content) > MAX_FILE_SIZE:
-        raise SceneError(f"{path}: must not be larger than {MAX_FILE_SIZE} bytes to be a scene file")
-    try:
-        return tomllib.loads(content.decode("utf-8-sig"))
-    except UnicodeDecodeError as error:
-        line = content[: error.start].count(b"\n") + 1
-        raise SceneError(f"{path}: must be UTF-8 text, but line {line} is not") from None
-    except (ValueError, RecursionError) as error:
-        reason = "nested too deeply" if isinstance(error, RecursionError) else error
-        raise SceneError(f"{path}: not valid TOML: {reason}") from None
-
-
-def _apply(override: str, tables: dict[str, Any]) -> None:
-    """Sets one key of nested tables, in place, from "key.path=value"."""
-    path, equals, text = override.partition("=")
-    *parents, last = (part.strip() for part in path.split("."))
-    if not equals or not all((*parents, last)):
-        raise SceneError(f"{_shown(override)}: an override must read key.path=value")
-    if any("\ud800" <= character <= "\udfff" for character in override):  # how Python passes on undecodable bytes
-        raise SceneError(f"{path.strip()} = {_shown(text)}: must be UTF-8 text")
-    table = tables
-    for depth, parent in enumerate(parents, start=1):
-        table = table.setdefault(parent, {})
-        if not isinstance(table, dict):
-            above = ".".join(parents[:depth])
-            raise SceneError(f"{path.strip()} = {_shown(text)}: cannot be set, as {above} is not a table")
-    table[last] = _toml_value(text)
-
-
-def _toml_value(text: str) -> object:
-    """Returns what a text means as a TOML value, or the text itself where it means nothing."""
-    try:
-        parsed = tomllib.loads(f"value = {text}")
-    except (ValueError, RecursionError):
-        return text
-    return parsed["value"] if parsed.keys() == {"value"} else text
-
-
-def _message(error: ValidationError) -> str:
-    """Returns one line for each key that is wrong, up to a limit."""
-    # Of a list with no good entry, pydantic also says that it is too short.
-    found = error.errors(include_url=False)
-    blamed_inside = {fault["loc"][:-1] for fault in found if fault["loc"]}
-    faults = [fault for fault in found if fault["loc"] not in blamed_inside]
-    lines = dict.fromkeys(_line(details) for details in faults[:_MAX_LINES])
-    rest = [f"... and {len(faults) - _MAX_LINES} more"] if len(faults) > _MAX_LINES else []
-    return "\n".join([*lines, *rest])
-
-
-def _line(details: ErrorDetails) -> str:
-    """Returns "key = value: what is allowed" for one fault that pydantic found or passed on."""
-    key, known_here, allowed = _locate(details["loc"])
-    value = details["input"]
-    fault = details.get("ctx", {}).get("error")
-    if isinstance(fault, AdmissibilityError):
-        key, value, allowed = ".".join(filter(None, (key, fault.key))), fault.value, fault.allowed
-    elif details["type"] == "extra_forbidden":
-        allowed = unknown_key(str(details["loc"][-1]), known_here)
-    elif details["type"] == "missing":
-        value = None
-    return f"{key} is missing: {allowed}" if value is None else f"{key} = {_shown(value)}: {allowed}"
-
-
-def _locate(location: Sequence[int | str]) -> tuple[str, list[str], str]:
-    """Follows a location through the schema.
-
-    Returns:
-        The dotted key, the keys known in the last table on the way, and what is allowed as its value. Parts that name a
-        branch of a union and no key are left out.
-    """
-    key, known, allowed = "", list(Scene.model_fields), "must be a scene"
-    annotation: Any = Scene
-    for part in location:
-        if isinstance(part, int):
-            key += f"[{part}]"
-        elif isinstance(annotation, type) and issubclass(annotation, Table):
-            key += f".{spell_key(part)}"
-            known = list(annotation.model_fields)
-            field = annotation.model_fields.get(part)
-            annotation = field.annotation if field else None
-            allowed = f"must be {_describe(annotation, field.metadata)}" if field else ""
-            allowed += f" ({field.description})" if field and field.description else ""
-        elif get_origin(annotation) is dict:
-            key += f".{spell_key(part)}"
-            annotation = None
-    return key.lstrip("."), known, allowed
-
-
-def _describe(annotation: Any, metadata: Sequence[object]) -> str:
-    """Returns in words which values the annotation and the constraints of a field allow."""
-    kind, arguments = get_origin(annotation), get_args(annotation)
-    if kind is Annotated:
-        return _describe(arguments[0], [*arguments[1:], *metadata])
-    if kind in (Union, types.UnionType):
-        return _either([_describe(branch, metadata) for branch in arguments if branch is not types.NoneType])
-    if kind is Literal:
-        return _either([_shown(choice) for choice in arguments])
-    words = [_WORDS.get(annotation, "a table")]
-    if kind is tuple:
-        shortest = next((it.min_length for it in metadata if isinstance(it, MinLen)), 0)
-        longest = next(it.max_length for it in metadata if isinstance(it, MaxLen))
-        words = [f"{_WORDS[arguments[0]]} or a list of {shortest} to {longest} of them"]
-    elif isinstance(annotation, type) and issubclass(annotation, Table):
-        words += [f"with the keys {', '.join(annotation.model_fields)}"]
-    bounds = [
-        f"{text} {getattr(it, name)}" for it in metadata for bound, name, text in _BOUNDS if isinstance(it, bound)
-    ]
-    units = [f"({it.symbol})" for it in metadata if isinstance(it, Unit)]
-    return " ".join(filter(None, [*words, " and ".join(bounds), *units]))
-
-
-def _either(choices: Sequence[str]) -> str:
-    """Returns choices joined to "a, b or c"."""
-    return " or ".join(filter(None, (", ".join(choices[:-1]), choices[-1])))
-
-
-def _shown(value: object, *, nested: bool = False) -> str:
-    """Returns a value much as TOML would spell it, cut to a readable length."""
-    match value:
-        case bool():
-            text = str(value).lower()
-        case str():
-            text = json.dumps(value[:_MAX_SHOWN], ensure_ascii=not value.isprintable())
-        case int() if value.bit_length() > _MAX_SHOWN * 4:
-            text = hex(value)
-        case list() | tuple() if not nested:
-            text = f"[{', '.join(_shown(item, nested=True) for item in value[:_MAX_SHOWN])}]"
-        case dict() if not nested:
-            text = f"{{{', '.join(f'{spell_key(key)} = {_shown(item, nested=True)}' for key, item in value.items())}}}"
-        case list() | tuple():
-            text = "[...]"
-        case dict():
-            text = "{...}"
-        case _:
-            text = str(value)
-    return text if len(text) <= _MAX_SHOWN else text[:_MAX_SHOWN] + "..."
+        raise refusal(error, kind, _KINDS) from None

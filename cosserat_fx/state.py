@@ -7,7 +7,6 @@ writes straight into the arrays of these functions. The committed state changes 
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import prod
 from typing import NamedTuple
 
 import basix
@@ -42,11 +41,12 @@ class QuadratureState:
         forces: quadrature function of stresses (Pa) and couple stresses (N/m), trial.
         tangent: quadrature function of the conjugate forces' derivatives, trial.
         forces_n: (N, n) committed stresses and couple stresses.
-        e, e_n: (N,) trial and committed void ratio.
+        e, e_n: (N,) trial and committed void ratio; the same array where it is frozen.
         status: (N,) code of the last update of each point.
         substeps: (N,) number of local substeps of each point.
         points: (m,) row of each of this rank's own points.
         coordinates: (m, gdim) reference coordinates of these points (m).
+        bytes_per_point: memory of one point's state, tangent and bookkeeping (bytes).
     """
 
     def __init__(
@@ -78,18 +78,19 @@ class QuadratureState:
         _compile_in_turn(mesh.comm, lambda: compile_update(self._update, layout, self._constants))
 
         cell = mesh.basix_cell()
-        n, driven = len(layout.forces), len(layout.strain_slots)
-        self.forces = _quadrature_function(mesh, degree, (n,), "forces")
-        self.tangent = _quadrature_function(mesh, degree, (driven, layout.n_inputs), "tangent")
-        self._forces = self.forces.x.array.reshape(-1, n)
-        self._tangent = self.tangent.x.array.reshape(-1, driven, layout.n_inputs)
+        record = point_record(layout, void_ratio=void_ratio)
+        self.forces = _quadrature_function(mesh, degree, record["forces"].shape, "forces")
+        self.tangent = _quadrature_function(mesh, degree, record["tangent"].shape, "tangent")
+        self._forces = self.forces.x.array.reshape(-1, *record["forces"].shape)
+        self._tangent = self.tangent.x.array.reshape(-1, *record["tangent"].shape)
         size = len(self._forces)
-        self.forces_n = np.zeros((size, n))
-        self.e = np.zeros(size)
-        self.e_n = np.zeros(size)
-        self.substeps = np.ones(size, dtype=np.int32)
-        self.status = np.zeros(size, dtype=np.uint8)
-        self._error = np.zeros(size)
+        self.forces_n = np.zeros(size, record["forces_n"])
+        self.e_n = np.zeros(size, record["e_n"])
+        self.e = np.zeros(size, record["e"]) if void_ratio else self.e_n
+        self.substeps = np.ones(size, record["substeps"])
+        self.status = np.zeros(size, record["status"])
+        self._error = np.zeros(size, record["error"])
+        self.bytes_per_point = record.itemsize
 
         self.rule_points = basix.make_quadrature(cell, degree)[0]
         self.cells = np.arange(mesh.topology.index_map(mesh.topology.dim).size_local, dtype=np.int32)
@@ -97,17 +98,17 @@ class QuadratureState:
         position = dolfinx.fem.Expression(ufl.SpatialCoordinate(mesh), self.rule_points)
         self.coordinates = position.eval(mesh, self.cells).reshape(len(self.points), mesh.geometry.dim)
 
-    def initialise(self, stress: float, void_ratio: float) -> None:
-        """Set a uniform isotropic state, committed and trial.
+    def initialise(self, stress: float, void_ratio: float | Array) -> None:
+        """Set an isotropic state, committed and trial.
 
         Args:
             stress: of the normal components (Pa, tension positive).
-            void_ratio: the void ratio.
+            void_ratio: uniform, or (m,) at this rank's own points.
         """
         normal = [k for k, (i, j) in enumerate(self.layout.stress) if i == j]
         self.forces_n[:] = 0.0
         self.forces_n[:, normal] = stress
-        self.e_n[:] = void_ratio
+        self.e_n[self.points] = void_ratio
         self.roll_back()
 
     def update(self, increments: Array, *, adapt: bool) -> Outcome:
@@ -151,11 +152,25 @@ class QuadratureState:
         self._forces[:] = self.forces_n
         self.e[:] = self.e_n
 
-    @property
-    def bytes_per_point(self) -> int:
-        """Memory of one point's state, tangent and bookkeeping (bytes)."""
-        arrays = (self._forces, self._tangent, self.forces_n, self.e, self.e_n, self.substeps, self.status, self._error)
-        return sum(a.itemsize * prod(a.shape[1:]) for a in arrays)
+
+def point_record(layout: Layout, *, void_ratio: bool) -> np.dtype[np.void]:
+    """What is kept of every quadrature point, by name: state, tangent and bookkeeping.
+
+    Args:
+        layout: components of the problem.
+        void_ratio: whether the void ratio evolves; a frozen one has no trial value.
+    """
+    n, driven = len(layout.forces), len(layout.strain_slots)
+    kept = [
+        ("forces", np.float64, (n,)),
+        ("forces_n", np.float64, (n,)),
+        ("tangent", np.float64, (driven, layout.n_inputs)),
+        ("e_n", np.float64, ()),
+        ("error", np.float64, ()),
+        ("substeps", np.int32, ()),
+        ("status", np.uint8, ()),
+    ]
+    return np.dtype([*kept, ("e", np.float64, ())] if void_ratio else kept)
 
 
 def _quadrature_function(

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
+from cosserat_fx import branching
 from cosserat_fx._compat import MPI
 from cosserat_fx.newton import NewtonSolver, Solution
 from cosserat_fx.problem import Problem
@@ -22,6 +23,8 @@ class StepControl:
         first: the first step, and the one after every corner of the path.
         largest: no step is larger.
         smallest: a step that fails at this size ends the run; 0 stands for a ten-thousandth of the first.
+        halvings: how often a step that ends on an unstable branch is halved before it is pushed off the branch.
+        branch: "stable" leaves unstable branches of equilibria, "primary" goes on along them.
         tolerance: aimed change of the strain rate over a step, relative to the strain rate.
         strain: aimed largest strain increment of any point.
         growth: largest factor from one step to the next.
@@ -31,6 +34,8 @@ class StepControl:
     first: float
     largest: float = float("inf")
     smallest: float = 0.0
+    halvings: int = 3
+    branch: Literal["stable", "primary"] = "stable"
     tolerance: float = 0.12
     strain: float = 0.4
     growth: float = 1.5
@@ -51,6 +56,7 @@ class Step:
         size: of the step (m).
         iterations: Newton iterations, those of failed attempts included.
         cutbacks: failed attempts before it.
+        passages: 1 where a branch became unstable in this step, which was pushed off it unless asked to stay.
     """
 
     number: int
@@ -58,6 +64,7 @@ class Step:
     size: float
     iterations: int
     cutbacks: int
+    passages: int = 0
 
 
 class SteppingError(RuntimeError):
@@ -98,6 +105,7 @@ class Stepper:
         self._corners = list(corners)
         self._stops = sorted({*corners[1:], *(s for s in stations if s > corners[0])})
         self._last: _Increment | None = None
+        self._stable, self._unstable_ends = True, 0
 
     def __iter__(self) -> Iterator[Step]:
         """Make the steps one by one; each is committed when it is handed out.
@@ -112,7 +120,8 @@ class Stepper:
                     raise SteppingError(f"the run reached its limit of {number} steps at a travel of {travel:.9g} m")
                 step, wish = self._step_from(travel, stop, size), size
                 iterations = cutbacks = 0
-                while not (solution := self._attempt(travel, step)).converged:
+                self._unstable_ends = 0
+                while not (solution := self._solve(travel, step)).converged:
                     iterations += solution.iterations
                     self.problem.roll_back()
                     if step <= self.control.smallest:
@@ -122,10 +131,11 @@ class Stepper:
                     cutbacks += 1
                     step = wish = max(step / 2, self.control.smallest)
                 suggestion = self._remember(step)
-                travel = stop if travel + step >= stop * (1 - 1e-12) else travel + step
+                travel = stop if travel + step >= stop - 1e-12 * abs(stop) else travel + step
                 self.problem.commit()
                 number += 1
-                yield Step(number, travel, step, iterations + solution.iterations, cutbacks)
+                iterations += solution.iterations
+                yield Step(number, travel, step, iterations, cutbacks, passages=int(self._unstable_ends > 0))
                 size = self._resize(wish, step, solution.iterations, cutbacks, suggestion)
                 if travel in self._corners:
                     self._last, size = None, self.control.first
@@ -136,6 +146,24 @@ class Stepper:
         if left <= size * (1 + 1e-9):
             return left
         return left / 2 if left < 2 * size else size
+
+    def _solve(self, travel: float, step: float) -> Solution:
+        """One attempt at a step; an unstable equilibrium is no solution unless the primary branch is asked for."""
+        solution = self._attempt(travel, step)
+        if not solution.converged:
+            return solution
+        if self.control.branch == "primary":
+            self._unstable_ends, self._stable = int(self._stable and not solution.stable), solution.stable
+            return solution
+        if solution.stable:
+            return solution
+        self._unstable_ends += 1
+        if self._unstable_ends <= self.control.halvings and step > self.control.smallest:
+            return replace(solution, converged=False, reason="the branch of equilibria has become unstable")
+        self._last = None  # the jump to another branch says nothing about the next step
+        reason = "the branch of equilibria has become unstable, and no stable one was found beside it"
+        left = branching.leave(self.problem, self.solver, step)
+        return left.after(solution.iterations) if left else replace(solution, converged=False, reason=reason)
 
     def _attempt(self, travel: float, step: float) -> Solution:
         """Predict and solve one step; where going on as before leads nowhere, start from the law's linear part.
@@ -157,7 +185,7 @@ class Stepper:
         if not self.solver.predict():
             return Solution(False, iterations, "the law or the linear solver failed at the start of the step", np.inf)
         solution = self.solver.solve()
-        return replace(solution, iterations=iterations + solution.iterations)
+        return solution.after(iterations)
 
     def _remember(self, step: float) -> float:
         """Keep the increment just found for the next prediction; return the step size that its strains suggest."""

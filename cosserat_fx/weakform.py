@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import basix.ufl
 import numpy as np
@@ -11,8 +12,8 @@ import ufl
 from ufl.core.expr import Expr
 
 from cosserat_fx._compat import dolfinx
-from cosserat_fx.conditions import Condition, Prescribed, Traction, Work
-from cosserat_fx.forms import balance, kinematics, loads
+from cosserat_fx.conditions import Condition, Load, Work
+from cosserat_fx.forms import balance, kinematics, stabilization
 from cosserat_fx.geometry import Geometry
 from cosserat_fx.state import QuadratureState
 
@@ -26,7 +27,9 @@ class Numerics:
         finite: increments and balance on the deforming configuration instead of the reference one.
         spin: objective terms with the spin of the displacement ("macro"), of the rotation ("cosserat"), or "none".
         void_ratio: whether the void ratio evolves.
+        order: polynomial degree of the displacement; the rotation is linear.
         degree: of the quadrature rule; 1 is one point per cell.
+        hourglass: resistance to hourglass modes over the initial elastic one; 0 is none.
         local_tolerance: of the constitutive update's error estimate, relative to the trace of the stress.
     """
 
@@ -34,8 +37,17 @@ class Numerics:
     finite: bool = True
     spin: str = "macro"
     void_ratio: bool = True
+    order: int = 1
     degree: int = 1
+    hourglass: float = 0.0
     local_tolerance: float = 1e-3
+
+
+class Stiffness(NamedTuple):
+    """Resistance to hourglass modes: coefficients for displacement (Pa) and rotation (N)."""
+
+    shear: Expr
+    couple: Expr
 
 
 @dataclass(frozen=True)
@@ -43,24 +55,28 @@ class WeakForm:
     """Compiled forms of one problem.
 
     Attributes:
-        internal: virtual work of the stresses.
+        internal: virtual work of the stresses and of the stabilisation.
         residual: the same less that of the loads.
         jacobian: derivative of the residual.
         increments: strain, curvature and spin increments at the quadrature points, which drive the law.
-        tractions: the conditions that are tractions, each with the constant that holds its value.
+        stabilisation: the part of the internal work that resists hourglass modes, where there is one.
+        external: work of the loads on each boundary that has some, and under None of those in the body.
+        loads: the conditions that change along the path, each with the constant that holds its values.
     """
 
     internal: dolfinx.fem.Form
     residual: dolfinx.fem.Form
     jacobian: dolfinx.fem.Form
     increments: dolfinx.fem.Expression
-    tractions: tuple[tuple[Traction, dolfinx.fem.Constant], ...]
+    stabilisation: dolfinx.fem.Form | None
+    external: Mapping[str | None, dolfinx.fem.Form]
+    loads: tuple[tuple[Load, dolfinx.fem.Constant], ...]
 
 
-def element(mesh: dolfinx.mesh.Mesh, *, polar: bool) -> basix.ufl._ElementBase:
-    """Linear displacement and, in a polar continuum, linear rotation."""
+def element(mesh: dolfinx.mesh.Mesh, *, polar: bool, order: int = 1) -> basix.ufl._ElementBase:
+    """Displacement of the given order and, in a polar continuum, linear rotation."""
     cell, gdim = mesh.basix_cell(), mesh.geometry.dim
-    displacement = basix.ufl.element("Lagrange", cell, 1, shape=(3 if gdim == 3 else 2,))
+    displacement = basix.ufl.element("Lagrange", cell, order, shape=(3 if gdim == 3 else 2,))
     if not polar:
         return displacement
     rotation = basix.ufl.element("Lagrange", cell, 1, shape=(3,) if gdim == 3 else None)
@@ -79,6 +95,7 @@ def build(
     conditions: Sequence[Condition],
     unknown: dolfinx.fem.Function,
     committed: dolfinx.fem.Function,
+    stiffness: Stiffness | None,
     *,
     length: float,
 ) -> WeakForm:
@@ -91,6 +108,7 @@ def build(
         conditions: the natural ones among them enter the forms.
         unknown: fields at the end of the step.
         committed: fields at its start.
+        stiffness: of the stabilisation, where there is one.
         length: by which virtual rotations are divided, so that the whole residual is a force (m).
     """
     mesh, dimension, finite, polar = geometry.mesh, geometry.dimension, numerics.finite, numerics.polar
@@ -122,31 +140,43 @@ def build(
         volume,
         dx,
     )
+    stabilisation = None
+    if stiffness is not None:
+        stabilisation = stabilization.hourglass_work(u, w, v, q, *stiffness, dx)
+        internal += stabilisation
+        jacobian += ufl.derivative(stabilisation, unknown, trial)
 
     residual = internal
-    ds = _boundary_measures(geometry, conditions)
-    tractions = []
+    measures = _boundary_measures(geometry, conditions)
+    external: dict[str | None, ufl.Form] = {}
+    loads = []
     for condition in conditions:
-        if isinstance(condition, Traction):
-            value = dolfinx.fem.Constant(mesh, np.zeros(len(u)))
-            tractions.append((condition, value))
-            residual -= loads.traction_work(value, v, ds[condition.boundary])
-        elif isinstance(condition, Work):
-            external = condition.form(u, w, v, q, dx if condition.boundary is None else ds[condition.boundary])
-            residual -= external
-            jacobian -= ufl.derivative(external, unknown, trial)
+        if not isinstance(condition, Work | Load):
+            continue
+        measure = dx if condition.boundary is None else measures[condition.boundary]
+        if isinstance(condition, Load):
+            value = dolfinx.fem.Constant(mesh, np.zeros(len(condition.value(0.0))))
+            loads.append((condition, value))
+            work = condition.form(value, u, w, v, q, measure)
+        else:
+            work = condition.form(u, w, v, q, measure)
+        residual -= work
+        jacobian -= ufl.derivative(work, unknown, trial)
+        external[condition.boundary] = external.get(condition.boundary, 0) + work
     return WeakForm(
         internal=dolfinx.fem.form(internal),
         residual=dolfinx.fem.form(residual),
         jacobian=dolfinx.fem.form(jacobian),
         increments=dolfinx.fem.Expression(increments, state.rule_points),
-        tractions=tuple(tractions),
+        stabilisation=None if stabilisation is None else dolfinx.fem.form(stabilisation),
+        external={name: dolfinx.fem.form(work) for name, work in external.items()},
+        loads=tuple(loads),
     )
 
 
 def _boundary_measures(geometry: Geometry, conditions: Sequence[Condition]) -> dict[str, ufl.Measure]:
     """The measure of each loaded boundary in the reference configuration."""
-    loaded = [c.boundary for c in conditions if not isinstance(c, Prescribed) and c.boundary is not None]
+    loaded = [c.boundary for c in conditions if isinstance(c, Work | Load) and c.boundary is not None]
     names = list(dict.fromkeys(loaded))
     if not names:
         return {}

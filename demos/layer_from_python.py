@@ -23,7 +23,7 @@ that point.
 """
 
 from cosserat_fx import geometry
-from cosserat_fx.conditions import Prescribed, Traction, fixed
+from cosserat_fx.conditions import Prescribed, fixed, traction
 from cosserat_fx.forms.walls import rolling_rotation
 from cosserat_fx.material import Material
 from cosserat_fx.newton import NewtonSolver
@@ -43,7 +43,7 @@ conditions = [
     *fixed("bottom", "u1", "u2", "w"),
     Prescribed("top", "u1", lambda travel: travel),
     Prescribed("top", "w", lambda travel: rolling_rotation(travel, rolling / (sand.d50 / 2), outward=+1)),
-    Traction("top", lambda travel: (0.0, -pressure)),
+    traction("top", lambda travel: (0.0, -pressure)),
 ]
 
 # The problem puts forms, fields and conditions together; the solver finds equilibrium; the stepper chooses the steps.

@@ -28,7 +28,7 @@ def mesh(dimension: Dimension, cells: tuple[int, ...], size: tuple[float, ...]) 
 
 
 class Body:
-    """Linear elements on a mesh with quadrature functions for the forces and the tangent, on one rank.
+    """Finite elements on a mesh with quadrature functions for the forces and the tangent, on one rank.
 
     Attributes:
         layout: components and their order.
@@ -49,10 +49,11 @@ class Body:
         finite: bool,
         spin: str = "macro",
         degree: int = 1,
+        order: int = 1,
     ) -> None:
         self.mesh, self.dimension, self.finite = mesh, dimension, finite
         self.layout = layout(dimension, polar=polar)
-        self.space = dolfinx.fem.functionspace(mesh, element(mesh, polar=polar))
+        self.space = dolfinx.fem.functionspace(mesh, element(mesh, polar=polar, order=order))
         self.unknown = dolfinx.fem.Function(self.space)
         self.committed = dolfinx.fem.Function(self.space)
         self._tabulate_dofs()

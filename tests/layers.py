@@ -9,7 +9,7 @@ from cosserat_fx.bands import BandMetrics, band_metrics
 from cosserat_fx.material import Material
 from cosserat_fx.results import Run, Table, read_run
 from cosserat_fx.run import run
-from cosserat_fx.scene import Scene, load_scene
+from cosserat_fx.scene import LayerScene, load_scene
 from cosserat_fx.typing import Array
 
 DEMOS = Path(__file__).parents[1] / "demos"
@@ -26,8 +26,10 @@ def demo(wall: str) -> Path:
     return DEMOS / f"layer_{wall}.toml"
 
 
-def scene(wall: str, *overrides: str) -> Scene:
-    return load_scene(demo(wall), [*NOTHING_TO_LOOK_AT, *overrides])
+def scene(wall: str, *overrides: str) -> LayerScene:
+    loaded = load_scene(demo(wall), [*NOTHING_TO_LOOK_AT, *overrides])
+    assert isinstance(loaded, LayerScene)
+    return loaded
 
 
 def walk(folder: Path, wall: str, *overrides: str) -> Run:

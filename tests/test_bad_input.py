@@ -3,11 +3,14 @@
 import os
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from console import BAD_INPUT, Call, assert_refused, listing, quick
 from layers import PRESSURE, demo
+from meshes import square, write_msh
+from scenes import RECTANGLE, change, to_toml
 
 FRACTIONS = f"walls.top={{f_u=0.8, f_r=0.1, f_s=0.2, shear_displacement=0.03, normal_stress={-PRESSURE}}}"
 BAD_KEYS = {
@@ -33,6 +36,101 @@ def test_a_bad_scene_is_refused_with_one_message_and_nothing_written(case: str, 
     (tmp_path / "bystander").write_text("stays")
     before = listing(tmp_path)
     assert_refused(call("run", demo("medium_rough"), "--out", tmp_path / "run", "--set", override), message)
+    assert listing(tmp_path) == before
+
+
+PLANE_BAD_KEYS = {
+    "an unknown boundary": (
+        "boundaries.topp.u1=0",
+        "boundaries.topp = {u1 = 0.0}: must name a boundary of the rectangle",
+    ),
+    "an unknown condition": ("boundaries.top.u3=0", "boundaries.top.u3 = 0: unknown key"),
+    "a contradiction": ("boundaries.top.t2=1e3", "boundaries.top.t2 = 1000.0: must be left out where u2 is given"),
+    "a wall in the plane": (
+        "walls.top.rolling=0.1",
+        "walls = {top = {...}}: must be left out, as only geometry.kind = ",
+    ),
+    "lists of two lengths": (
+        "boundaries.top={u2=[0.1, 0], u1=[0.1]}",
+        "boundaries.top.u2 = [0.1, 0.0]: must have one entry",
+    ),
+    "a table that goes back": (
+        "boundaries.top.u2={travel=[0, 2, 1], value=[0, 1, 2]}",
+        "boundaries.top.u2.travel[2] = 1.0: must be greater than the entry before",
+    ),
+    "nothing that happens": (
+        "boundaries.top.u2=0",
+        "boundaries = {bottom = {...}, top = {...}, left = {...}, right = {...}}: must p",
+    ),
+    "a point outside": ("points.a={at=[1, 0], u1=0}", "points.a.at = [1.0, 0.0]: must lie in the rectangle"),
+    "a zone outside": (
+        "initial.zones=[{y=[1, 2], void_ratio=0.7}]",
+        "initial.zones[0].y = [1.0, 2.0]: must reach into",
+    ),
+    "a zone too loose": ("initial.zones=[{y=[0, 2], void_ratio=1.2}]", "initial.zones[0].void_ratio = 1.2: must be"),
+    "a negative scatter": (
+        "initial.random={standard_deviation=-1, correlation_length_d50=4, seed=1}",
+        "initial.random.standard_deviation = -1: must be",
+    ),
+    "a field that is not there": ("initial.field.file=e.csv", 'initial.field.file = "e.csv": must be a file'),
+    "a mesh that is not there": ("geometry={kind='mesh', file='a.msh'}", 'geometry.file = "a.msh": must be a file'),
+    "cells that coarsen nowhere": (
+        "geometry.grading.x={fine='left', ratio=0.5}",
+        "geometry.grading.x.ratio = 0.5: must",
+    ),
+    "no density": ("weight.gravity=9.81", "weight.density is missing: must be a finite number greater than 0"),
+    "triangles": ("solver.element=P1", 'solver.element = "P1": must be'),
+    "a field beyond the end": ("output.fields_at=0.02", "output.fields_at[0] = 0.02: must lie on the path"),
+    "a column of nothing": (
+        "output.columns.a={boundary='tip', quantity='u1'}",
+        'output.columns.a.boundary = "tip": must name a boundary of the rectangle',
+    ),
+}
+
+
+@pytest.mark.parametrize("case", PLANE_BAD_KEYS)
+def test_a_bad_plane_scene_is_refused_with_one_message_and_nothing_written(
+    case: str, call: Call, tmp_path: Path
+) -> None:
+    override, message = PLANE_BAD_KEYS[case]
+    (tmp_path / "plane.toml").write_text(to_toml(RECTANGLE))
+    before = listing(tmp_path)
+    outcome = call("run", tmp_path / "plane.toml", "--out", tmp_path / "run", "--set", override)
+    assert_refused(outcome, message)
+    assert listing(tmp_path) == before
+
+
+HELD = change(RECTANGLE, {"material.d50": 1e-3, "geometry.cells": [8, 28]})
+PLANE_BAD_BODIES = {
+    "a body that can move rigidly": ("points={}", "the body can move rigidly, nothing holds its displacement along x1"),
+    "grains under no pressure": ("boundaries.left={}", "boundaries.left is missing a condition normal to it"),
+    "elements larger than a band": ("geometry.cells=[2, 7]", "geometry: elements must be smaller than a shear band"),
+    "no such boundary": (
+        "boundaries.lid.w=0",
+        'boundaries.lid = "lid": must be a boundary of the mesh, bottom, top, l',
+    ),
+    "no such region": ("initial.zones=[{region='core', void_ratio=0.7}]", 'initial.zones[0].region = "core": must'),
+    "cells of another kind": ("solver.element=P1", 'solver.element = "P1": must be "Q1R", "Q1", "Q2Q1" or "auto" on a'),
+    "a file without names": ("geometry.file=nameless.msh", "nameless.msh: has no named boundaries: name them in Gmsh"),
+    "a file that is none": ("geometry.file=plane.toml", "plane.toml: cannot be read as a mesh file"),
+    "a field that is none": ("initial.field.file=plane.toml", "plane.toml: cannot be read as a mesh file"),
+}
+
+
+@pytest.mark.parametrize("command", ["run", "check"])
+@pytest.mark.parametrize("case", PLANE_BAD_BODIES)
+def test_a_bad_plane_body_is_refused_with_one_message_and_nothing_written(
+    case: str, command: str, call: Call, tmp_path: Path
+) -> None:
+    override, message = PLANE_BAD_BODIES[case]
+    body = square(8, 28, shape=lambda points: points * (0.04, 0.14))
+    write_msh(tmp_path / "plane.msh", body)
+    write_msh(tmp_path / "nameless.msh", replace(body, lines={}))
+    mesh = {} if "cells" in override else {"geometry": {"kind": "mesh", "file": "plane.msh"}}
+    (tmp_path / "plane.toml").write_text(to_toml(change(HELD, mesh)))
+    before = listing(tmp_path)
+    out = ["--out", tmp_path / "run"] if command == "run" else []
+    assert_refused(call(command, tmp_path / "plane.toml", *out, "--set", override), message)
     assert listing(tmp_path) == before
 
 

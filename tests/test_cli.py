@@ -8,11 +8,12 @@ from pathlib import Path
 
 import pytest
 from console import BAD_INPUT, DONE, QUICK, STOPPED, Call, assert_refused, listing, quick
-from layers import demo
+from layers import DEMOS, demo
 from rich.console import Console
 
 from cosserat_fx import cli, progress
 from cosserat_fx._compat import MPI
+from cosserat_fx.kernel_time import IN_KERNEL
 from cosserat_fx.results import Run, RunFolder, read_run
 from cosserat_fx.run import run as run_scene
 from cosserat_fx.scene import load_scene
@@ -194,16 +195,40 @@ def test_check_tells_effects_sizes_and_cost_and_writes_nothing(
     assert list(tmp_path.iterdir()) == []
     summary = default_runs["medium_rough"].summary
     for effect in summary["effects"]:
-        assert re.search(rf"^{effect['name']} +{effect['choice']} +{re.escape(effect['reason'])} *$", outcome.out, re.M)
+        counts = rf"{effect['unknowns'] or ''} +{effect['bytes_per_point'] or ''}"
+        share = r"(\d+ %|\?)?" if effect["name"] in IN_KERNEL and effect["choice"] != "off" else ""
+        line = rf"^{effect['name']} +{effect['choice']} +{counts} +{share} +{re.escape(effect['reason'])} *$"
+        assert re.search(line, outcome.out, re.M)
     assert "243 unknowns, 80 cells, 80 quadrature points" in outcome.out
-    expected = r"^expected cost: about (\d+) steps, (\S+) s of constitutive update on one rank, (\S+) MB of state$"
+    expected = r"^expected cost on 1 rank\(s\): about (\d+) steps, (\S+) s of constitutive update, \S+ s of assembly"
     cost = re.search(expected, outcome.out, re.M)
     assert cost
     assert 0.5 < int(cost[1]) / summary["steps"] < 2
     assert 0.1 < float(cost[2]) / summary["seconds"]["constitutive update"] < 10
+    [state] = re.findall(r"^memory: (\S+) MB of state, \d+ non-zeros, \S+ MB of factors$", outcome.out, re.M)
     sizes = summary["sizes"]
     memory = sizes["quadrature_points"] * sizes["bytes_per_quadrature_point"]
-    assert float(cost[3]) == pytest.approx(memory / 1e6, rel=1e-2)
+    assert float(state) == pytest.approx(memory / 1e6, rel=1e-2)
+
+
+def test_check_measures_what_each_effect_takes_of_the_kernel(call: Call) -> None:
+    outcome = call("check", demo("medium_rough"), "--measure")
+    shares = re.findall(r"^(polar|spin|evolving void ratio) .* (\d+) %  ", outcome.out, re.M)
+    assert [name for name, _ in shares] == list(IN_KERNEL)
+    assert "?" not in outcome.out
+
+
+def test_check_knows_plane_bodies(call: Call) -> None:
+    outcome = call("check", DEMOS / "biaxial.toml")
+    assert (outcome.status, outcome.err) == (DONE, "")
+    assert re.search(r"^dimension +plane .* plane strain *$", outcome.out, re.M)
+    assert re.search(r"^hourglass stabilisation +on +8 .*Q1R", outcome.out, re.M)
+    assert "2907 unknowns, 896 cells, 896 quadrature points" in outcome.out
+
+
+def test_check_refuses_what_only_the_mesh_can_tell(call: Call) -> None:
+    outcome = call("check", DEMOS / "biaxial.toml", "--set", "boundaries.left.pressure=1e3", "--set", "points={}")
+    assert_refused(outcome, "the body can move rigidly")
 
 
 def test_check_takes_overrides(call: Call) -> None:

@@ -9,7 +9,7 @@ from ufl.core.expr import Expr
 
 from cosserat_fx import geometry
 from cosserat_fx._compat import MPI
-from cosserat_fx.conditions import Condition, Prescribed, Traction, Work, fixed
+from cosserat_fx.conditions import Condition, Prescribed, Work, fixed, traction
 from cosserat_fx.material import Material
 from cosserat_fx.newton import NewtonSolver
 from cosserat_fx.problem import Problem
@@ -28,7 +28,7 @@ def body(extra: Sequence[Condition], numerics: Numerics | None = None) -> Proble
         *fixed("bottom", "u1", "u2"),
         *(fixed("bottom", "w") if numerics.polar else []),
         Prescribed("top", "u1", lambda travel: travel),
-        Traction("top", lambda travel: (0.0, -PRESSURE)),
+        traction("top", lambda travel: (0.0, -PRESSURE)),
         *extra,
     ]
     mesh = geometry.layer(HEIGHT, CELLS, MPI.COMM_SELF)

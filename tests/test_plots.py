@@ -221,10 +221,10 @@ def test_drawing_leaves_the_settings_of_matplotlib_alone(run: Run, tmp_path: Pat
 
 
 def test_noise_is_not_blown_up() -> None:
-    low, high = plots._range(-100.0 + 1e-12 * np.arange(3.0))
+    low, high = page.axis_range(-100.0 + 1e-12 * np.arange(3.0))
     assert high - low > 2.0
-    assert plots._range(np.array([0.0, 1e-18]), least=0.04)[1] > 0.02
-    low, high = plots._range(np.zeros(3))
+    assert page.axis_range(np.array([0.0, 1e-18]), least=0.04)[1] > 0.02
+    low, high = page.axis_range(np.zeros(3))
     assert low < 0.0 < high
 
 

@@ -1,17 +1,17 @@
-import copy
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from datetime import date
 from pathlib import Path
 from typing import Any
 
 import pytest
 from hypothesis import given, settings
-from hypothesis import strategies as st
+from scenes import ABSENT, Mutation, assert_scene_or_clear_refusal, change, mutations, to_toml
 
 from cosserat_fx.material import Material
-from cosserat_fx.scene import MAX_FILE_SIZE, Scene, SceneError, load_scene, parse_scene
+from cosserat_fx.scene import LayerScene, SceneError, load_scene, parse_scene
+from cosserat_fx.scene_file import MAX_FILE_SIZE
 
 MEDIUM_ROUGH = """
 title = "Plane shearing under a medium rough wall"
@@ -40,30 +40,23 @@ LEAST: dict[str, Any] = {
     "walls": {"top": {"normal_stress": -100e3, "shear_displacement": 0.03}},
 }
 FRACTIONS = {"f_u": 0.8, "f_r": 0.15, "f_s": 0.05}
-ABSENT = object()
 
 
 def changed(changes: Mapping[str, object]) -> dict[str, Any]:
-    """Returns the least scene with keys, given in dotted form, set or (ABSENT) taken away."""
-    tables = copy.deepcopy(LEAST)
-    for path, value in changes.items():
-        *parents, last = path.split(".")
-        table = tables
-        for parent in parents:
-            table = table.setdefault(parent, {})
-        table[last] = value
-        if value is ABSENT:
-            del table[last]
-    return tables
+    """The least scene of a layer with some keys changed."""
+    return change(LEAST, changes)
 
 
-def to_toml(table: dict[str, Any], prefix: str = "") -> str:
-    """Writes nested tables of numbers, truth values, strings and lists of them as TOML."""
-    plain = {key: value for key, value in table.items() if not isinstance(value, dict)}
-    text = "".join(f"{key} = {json.dumps(value)}\n" for key, value in plain.items())
-    for key in table.keys() - plain.keys():
-        text += f"[{prefix}{key}]\n" + to_toml(table[key], f"{prefix}{key}.")
-    return text
+def parse_layer(tables: Mapping[str, object]) -> LayerScene:
+    scene = parse_scene(tables)
+    assert isinstance(scene, LayerScene)
+    return scene
+
+
+def load_layer(path: Path, overrides: Sequence[str] = ()) -> LayerScene:
+    scene = load_scene(path, overrides)
+    assert isinstance(scene, LayerScene)
+    return scene
 
 
 @pytest.fixture
@@ -74,7 +67,7 @@ def scene_file(tmp_path: Path) -> Path:
 
 
 def test_the_scene_of_the_design_page_reads_as_written(scene_file: Path) -> None:
-    scene = load_scene(scene_file)
+    scene = load_layer(scene_file)
     assert scene.title == "Plane shearing under a medium rough wall"
     assert (scene.geometry.kind, scene.geometry.height, scene.geometry.cells) == ("layer", 0.04, 80)
     assert scene.material == Material.named("paper-sand")
@@ -86,11 +79,17 @@ def test_the_scene_of_the_design_page_reads_as_written(scene_file: Path) -> None
 
 
 def test_what_a_scene_leaves_out_is_filled_in() -> None:
-    scene = parse_scene(LEAST)
+    scene = parse_layer(LEAST)
     assert scene.material == Material.named("paper-sand")
     assert (scene.walls.bottom.rolling, scene.walls.top.rolling, scene.walls.top.constant_height) == (0.0, 0.0, False)
     assert scene.effects.model_dump() == {"polar": True, "finite_strain": "auto", "spin": "macro", "void_ratio": True}
-    assert scene.stepping.model_dump() == {"first_step": None, "max_step": None, "min_step": None, "max_steps": 100000}
+    assert scene.stepping.model_dump() == {
+        "first_step": None,
+        "max_step": None,
+        "min_step": None,
+        "max_steps": 100000,
+        "branch": "stable",
+    }
     assert (scene.solver.integration_points, scene.solver.petsc) == (1, {})
     assert (scene.output.fields, scene.output.figures) == (True, True)
     assert scene.output.profiles_at == pytest.approx((0.003, 0.01, 0.02, 0.03), rel=1e-12)
@@ -120,7 +119,7 @@ def test_a_scene_survives_a_round_trip_through_toml_and_json(changes: dict[str, 
 
 def test_a_scene_is_frozen() -> None:
     with pytest.raises(ValueError, match="frozen"):
-        parse_scene(LEAST).geometry.height = 1.0
+        parse_layer(LEAST).geometry.height = 1.0
 
 
 def test_a_material_given_as_such_is_taken() -> None:
@@ -129,7 +128,7 @@ def test_a_material_given_as_such_is_taken() -> None:
 
 
 def test_a_whole_number_is_a_number() -> None:
-    assert parse_scene(changed({"geometry.height": 1})).geometry.height == 1.0
+    assert parse_layer(changed({"geometry.height": 1})).geometry.height == 1.0
 
 
 @pytest.mark.parametrize(
@@ -139,14 +138,14 @@ def test_a_whole_number_is_a_number() -> None:
 def test_walls_move_and_turn_the_particles(
     wall: dict[str, float], displacement_factor: float, rotation_times_radius: float
 ) -> None:
-    bottom = parse_scene(changed({"walls.bottom": wall})).walls.bottom
+    bottom = parse_layer(changed({"walls.bottom": wall})).walls.bottom
     assert bottom.displacement_factor == displacement_factor
     assert bottom.rolling_rotation_factor(0.5e-3) == pytest.approx(rotation_times_radius / 0.25e-3)
 
 
 def test_both_forms_of_a_wall_law_turn_the_particles_alike() -> None:
-    by_fractions = parse_scene(changed({"walls.bottom": FRACTIONS})).walls.bottom
-    by_ratio = parse_scene(changed({"walls.bottom.rolling": FRACTIONS["f_r"] / FRACTIONS["f_u"]})).walls.bottom
+    by_fractions = parse_layer(changed({"walls.bottom": FRACTIONS})).walls.bottom
+    by_ratio = parse_layer(changed({"walls.bottom.rolling": FRACTIONS["f_r"] / FRACTIONS["f_u"]})).walls.bottom
     wall_displacement, d50 = 0.02, 0.5e-3
     particle_displacement = by_fractions.displacement_factor * wall_displacement
     assert by_fractions.rolling_rotation_factor(d50) * wall_displacement == pytest.approx(
@@ -165,9 +164,10 @@ def test_both_forms_of_a_wall_law_turn_the_particles_alike() -> None:
     ],
 )
 def test_legs_pair_the_targets_of_the_walls(top: object, bottom: object, legs: list[tuple[float, float]]) -> None:
-    scene = parse_scene(changed({"walls.top.shear_displacement": top, "walls.bottom.shear_displacement": bottom}))
+    scene = parse_layer(changed({"walls.top.shear_displacement": top, "walls.bottom.shear_displacement": bottom}))
     assert list(scene.legs) == legs
     assert [leg.travel for leg in scene.legs] == [a - b for a, b in legs]
+    assert scene.largest_displacement == max(abs(a - b) for a, b in legs)
 
 
 @pytest.mark.parametrize(
@@ -186,13 +186,13 @@ def test_legs_pair_the_targets_of_the_walls(top: object, bottom: object, legs: l
 def test_profiles_are_spread_over_one_leg_or_taken_at_the_ends_of_several(
     changes: dict[str, object], profiles: list[float]
 ) -> None:
-    assert parse_scene(changed(changes)).output.profiles_at == pytest.approx(tuple(profiles), rel=1e-12)
+    assert parse_layer(changed(changes)).output.profiles_at == pytest.approx(tuple(profiles), rel=1e-12)
 
 
 def test_profiles_are_placed_in_turn_on_a_path_that_turns_back() -> None:
     travels = [0.0, 2e-3, 2e-3, -4e-3, 2e-3, 4e-3]
     path = {"walls.top.shear_displacement": [4e-3, -4e-3, 4e-3], "output.profiles_at": travels}
-    stations = parse_scene(changed(path)).profile_stations
+    stations = parse_layer(changed(path)).profile_stations
     assert [(station.leg, station.travel) for station in stations] == list(
         zip([0, 0, 1, 1, 2, 2], travels, strict=True)
     )
@@ -202,7 +202,7 @@ def test_profiles_are_placed_in_turn_on_a_path_that_turns_back() -> None:
 def test_a_profile_within_rounding_of_the_end_is_at_the_end() -> None:
     walls = {"walls.top.shear_displacement": 0.1, "walls.bottom.shear_displacement": -0.2, "output.profiles_at": 0.3}
     assert 0.1 + 0.2 != 0.3
-    assert parse_scene(changed(walls)).profile_stations == ((0, 1.0, 0.3),)
+    assert parse_layer(changed(walls)).profile_stations == ((0, 1.0, 0.3),)
 
 
 BAD_INPUT: list[tuple[dict[str, object], str, str]] = [
@@ -217,6 +217,20 @@ BAD_INPUT: list[tuple[dict[str, object], str, str]] = [
     ({"initial": ABSENT}, "initial is missing", "must be a table with the keys stress, void_ratio"),
     ({"walls": [1]}, "walls = [1]", "must be a table with the keys bottom, top"),
     ({"material": "paper-sand"}, 'material = "paper-sand"', "must be a table"),
+    (
+        {"boundaries.top.u2": 1},
+        "boundaries = {top = {...}}",
+        'only geometry.kind = "rectangle" or "mesh" has this key; a',
+    ),
+    ({"geometry.width": 1}, "geometry.width = 1", 'must be left out, as only geometry.kind = "rectangle" has this key'),
+    ({"solver.element": "Q1"}, 'solver.element = "Q1"', 'only geometry.kind = "rectangle" or "mesh" has this key. The'),
+    # initial state and weight
+    ({"initial.zones": [{"x": [0, 1], "void_ratio": 0.7}]}, "initial.zones[0].x = [0.0, 1.0]", "zones are given by y"),
+    ({"initial.zones": [{"region": "a", "void_ratio": 0.7}]}, 'initial.zones[0].region = "a"', "zones are given by y"),
+    ({"initial.zones": [{"y": [1, 2], "void_ratio": 0.7}]}, "initial.zones[0].y = [1.0, 2.0]", "y from 0 to 0.04 m"),
+    ({"initial.zones": [{"y": [0, 1], "void_ratio": 0.1}]}, "initial.zones[0].void_ratio = 0.1", "greater than e_d"),
+    ({"initial.field.file": "nowhere.csv"}, 'initial.field.file = "nowhere.csv"', "there is none at nowhere.csv"),
+    ({"weight.density": -1}, "weight.density = -1", "greater than 0 (kg/m3)"),
     # types
     ({"geometry.height": "3"}, 'geometry.height = "3"', "must be a finite number greater than 0 (m)"),
     ({"geometry.height": True}, "geometry.height = true", "must be a finite number"),
@@ -242,7 +256,8 @@ BAD_INPUT: list[tuple[dict[str, object], str, str]] = [
     ({"walls.top.shear_displacement": [1, "far"]}, 'walls.top.shear_displacement[1] = "far"', "or a list of 1 to"),
     ({"walls.top.shear_displacement": ["far"]}, 'walls.top.shear_displacement[0] = "far"', "or a list of 1 to"),
     # ranges
-    ({"geometry.kind": "box"}, 'geometry.kind = "box"', 'must be "layer" (the only kind so far)'),
+    ({"geometry.kind": "box"}, 'geometry.kind = "box"', 'must be "layer", "rectangle" or "mesh"'),
+    ({"geometry.kind": ["layer"]}, 'geometry.kind = ["layer"]', 'must be "layer", "rectangle" or "mesh"'),
     ({"geometry.height": -1}, "geometry.height = -1", "greater than 0 (m)"),
     ({"geometry.cells": 0}, "geometry.cells = 0", "at least 1 and at most 10000000"),
     ({"geometry.cells": 10_000_001}, "geometry.cells = 10000001", "at least 1 and at most 10000000"),
@@ -386,13 +401,13 @@ def test_a_file_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
     ],
 )
 def test_an_override_sets_one_key(
-    override: str, value: object, read: Callable[[Scene], object], scene_file: Path
+    override: str, value: object, read: Callable[[LayerScene], object], scene_file: Path
 ) -> None:
-    assert read(load_scene(scene_file, [override])) == value
+    assert read(load_layer(scene_file, [override])) == value
 
 
 def test_the_last_of_several_overrides_wins(scene_file: Path) -> None:
-    assert load_scene(scene_file, ["geometry.cells=1", "geometry.cells=2"]).geometry.cells == 2
+    assert load_layer(scene_file, ["geometry.cells=1", "geometry.cells=2"]).geometry.cells == 2
 
 
 @pytest.mark.parametrize(
@@ -414,43 +429,19 @@ def test_a_bad_override_is_refused(override: str, message: str, scene_file: Path
     assert message in str(caught.value)
 
 
-def all_paths(table: dict[str, Any], above: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
-    """Returns the path of every table and key below a table."""
-    paths = []
-    for key, value in table.items():
-        paths.append((*above, key))
-        if isinstance(value, dict):
-            paths += all_paths(value, (*above, key))
-    return paths
-
-
-COMPLETE = parse_scene(changed({"stepping": {"min_step": 1e-6, "first_step": 1e-5, "max_step": 1e-3}})).as_dict()
-PATHS = all_paths(COMPLETE)
-NUMBERS = st.integers() | st.floats() | st.sampled_from([0, 1, -1, 10**400, 1e308, -1e308, 5e-324])
-SCALARS = (
-    st.none() | st.booleans() | NUMBERS | st.text() | st.dates() | st.sampled_from(["macro", "none", "paper-sand"])
-)
-KEYS = st.sampled_from([path[-1] for path in PATHS]) | st.text()
-JUNK = st.recursive(SCALARS, lambda inner: st.lists(inner, max_size=4) | st.dictionaries(KEYS, inner, max_size=4))
+COMPLETE = parse_scene(
+    changed(
+        {
+            "stepping": {"min_step": 1e-6, "first_step": 1e-5, "max_step": 1e-3},
+            "weight.density": 1600.0,
+            "initial.zones": [{"y": [0.0, 0.01], "void_ratio": 0.7}],
+            "initial.random": {"standard_deviation": 0.01, "correlation_length_d50": 4.0, "seed": 1},
+        }
+    )
+).as_dict()
 
 
 @settings(max_examples=300, deadline=None)
-@given(mutations=st.lists(st.tuples(st.sampled_from(PATHS), KEYS | st.just(""), JUNK), min_size=1, max_size=3))
-def test_whatever_comes_in_a_scene_or_a_clear_refusal_comes_out(
-    mutations: list[tuple[tuple[str, ...], str, object]],
-) -> None:
-    tables: dict[str, Any] = copy.deepcopy(COMPLETE)
-    for path, extra, junk in mutations:
-        table = tables
-        for parent in path[:-1]:
-            table = table[parent] if isinstance(table.get(parent), dict) else table
-        table[extra or path[-1]] = junk
-    refusal = "none: the scene is valid"
-    try:
-        scene = parse_scene(tables)
-    except SceneError as error:
-        refusal = str(error)
-    else:
-        assert parse_scene(json.loads(json.dumps(scene.as_dict()))) == scene
-    assert "pydantic" not in refusal
-    assert all(": " in line for line in refusal.splitlines() if not line.startswith("... and "))
+@given(chosen=mutations(COMPLETE))
+def test_whatever_comes_in_a_scene_or_a_clear_refusal_comes_out(chosen: list[Mutation]) -> None:
+    assert_scene_or_clear_refusal(COMPLETE, chosen)

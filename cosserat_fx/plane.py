@@ -1,0 +1,153 @@
+"""A plane-strain body made from a scene: its mesh, its path, its conditions, its solver."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from cosserat_fx import geometry, meshfile
+from cosserat_fx._compat import MPI
+from cosserat_fx.boundaries import BoundaryMaker, needs_loading
+from cosserat_fx.effects import numerics
+from cosserat_fx.element_size import size_report
+from cosserat_fx.geometry import Geometry, Grading
+from cosserat_fx.initial_state import void_ratio_of
+from cosserat_fx.material import AdmissibilityError
+from cosserat_fx.measured_field import FieldFileError
+from cosserat_fx.meshfile import MeshError
+from cosserat_fx.newton import NewtonSolver, PetscOption
+from cosserat_fx.plane_path import PlanePath
+from cosserat_fx.plane_schema import RectangleGeometry
+from cosserat_fx.problem import Problem
+from cosserat_fx.refusals import SceneError, line, scene_error
+from cosserat_fx.rigidity import rigid_motions
+from cosserat_fx.scene import PlaneScene
+from cosserat_fx.stepping import StepControl, Stepper
+
+FIRST_STEP = 0.0025
+"""Default first step over the smallest extent of the body: the mean strain in which the stiff response shows."""
+
+
+@dataclass(frozen=True)
+class Plane:
+    """A plane body ready to be deformed.
+
+    Attributes:
+        scene: what it was made from.
+        problem: its forms, state and conditions.
+        stepper: walks it along the path.
+        path: histories over the travel.
+        stations: travel along the path at which fields are asked for (m).
+        warnings: what the user should know before it starts.
+    """
+
+    scene: PlaneScene
+    problem: Problem
+    stepper: Stepper
+    path: PlanePath
+    stations: tuple[float, ...]
+    warnings: tuple[str, ...]
+
+
+def build(scene: PlaneScene, comm: MPI.Intracomm, options: dict[str, PetscOption] | None = None) -> Plane:
+    """Set up the body of a scene. Collective.
+
+    Args:
+        scene: the validated scene.
+        comm: the ranks that share the mesh.
+        options: PETSc options (without prefix) that go before the scene's own.
+
+    Raises:
+        SceneError: the mesh cannot be used, does not have what the scene names, or is not held by its conditions.
+    """
+    try:
+        body = body_of(scene, comm)
+        check_names(scene, body)
+        chosen = numerics(scene, body.smallest_extent, body.mesh.topology.cell_name())
+        void_ratio = void_ratio_of(scene, body, chosen.degree)
+    except AdmissibilityError as error:
+        raise scene_error(error) from error
+    except (FieldFileError, MeshError) as error:
+        raise SceneError(f"initial.field.file: {error}") from error
+    sizes = size_report(body, scene.material.d50)
+    if sizes.error:
+        described = scene.geometry
+        key, value = (
+            ("cells", described.cells) if isinstance(described, RectangleGeometry) else ("file", described.file)
+        )
+        raise SceneError(line(f"geometry.{key}", value, sizes.error))
+    loading = scene.material.d50 if needs_loading(scene, body) else 0.0
+    path = PlanePath(scene.leg_lengths, loading=loading)
+    conditions = BoundaryMaker(scene, body, path, chosen.finite, chosen.order).conditions()
+    problem = Problem(
+        body,
+        scene.material,
+        conditions,
+        stress=scene.initial.stress,
+        void_ratio=void_ratio.values,
+        numerics=chosen,
+    )
+    if motions := rigid_motions(problem, conditions):
+        raise SceneError(
+            f"boundaries: the body can move rigidly, nothing holds its {' and '.join(motions)}: "
+            "must have displacements prescribed, if only at a point"
+        )
+    solver = NewtonSolver(
+        problem,
+        tolerance=scene.solver.newton_tolerance,
+        max_iterations=scene.solver.max_iterations,
+        options={**scene.solver.petsc, **(options or {})},
+    )
+    stations = tuple(path.start + travel for travel in scene.output.fields_at or ())
+    stepper = Stepper(problem, solver, path.corners, stations, step_control(scene, body.smallest_extent))
+    warnings = [*void_ratio.warnings, *([sizes.warning] if sizes.warning else [])]
+    if stepper.control.branch == "stable" and not solver.sees_branches:
+        warnings.append(
+            "branches of equilibrium are not watched: of the direct solvers only MUMPS tells the tangent's determinant"
+        )
+    return Plane(scene, problem, stepper, path, stations, tuple(warnings))
+
+
+def body_of(scene: PlaneScene, comm: MPI.Intracomm) -> Geometry:
+    """The mesh that a scene describes.
+
+    Raises:
+        SceneError: the mesh file cannot be used.
+    """
+    described = scene.geometry
+    if not isinstance(described, RectangleGeometry):
+        try:
+            return meshfile.read(Path(described.file), comm, scale=described.scale)
+        except MeshError as error:
+            raise SceneError(f"geometry.file: {error}") from error
+    gradings = [Grading(g.fine, g.ratio) if g else None for g in (described.grading.x, described.grading.y)]
+    return geometry.rectangle(
+        described.width, described.height, described.cells, comm, grading_x=gradings[0], grading_y=gradings[1]
+    )
+
+
+def check_names(scene: PlaneScene, body: Geometry) -> None:
+    """Refuse boundaries that the mesh does not have.
+
+    Raises:
+        AdmissibilityError: a table or a column names such a boundary.
+    """
+    allowed = f"must be a boundary of the mesh, {', '.join(body.boundaries)}"
+    for name in scene.boundaries:
+        if name not in body.boundaries:
+            raise AdmissibilityError(f"boundaries.{name}", name, allowed)
+    for name, column in scene.output.columns.items():
+        if column.boundary not in body.boundaries:
+            raise AdmissibilityError(f"output.columns.{name}.boundary", column.boundary, allowed)
+
+
+def step_control(scene: PlaneScene, size: float) -> StepControl:
+    """Step sizes as the scene asks for them, or from the body's smallest extent (m)."""
+    asked = scene.stepping
+    return StepControl(
+        first=asked.first_step or min(FIRST_STEP * size, asked.max_step or float("inf")),
+        largest=asked.max_step or float("inf"),
+        smallest=asked.min_step or 0.0,
+        branch=asked.branch or "stable",
+        max_steps=asked.max_steps,
+    )

@@ -1,0 +1,67 @@
+"""A scene's file and the keys that are set on the command line, as nested tables; nothing in them is evaluated."""
+
+import tomllib
+from pathlib import Path
+from typing import Any, Final
+
+from cosserat_fx.refusals import SceneError, shown
+
+MAX_FILE_SIZE: Final = 10_000_000
+"""Size above which a file is not taken for a scene, bytes."""
+
+
+def read_tables(path: Path) -> dict[str, Any]:
+    """Reads a TOML file.
+
+    Raises:
+        SceneError: it cannot be read, or is no TOML.
+    """
+    try:
+        with path.open("rb") as file:
+            content = file.read(MAX_FILE_SIZE + 1)
+    except OSError as error:
+        raise SceneError(f"{path}: cannot be read as a scene file: {error.strerror}") from None
+    if len(content) > MAX_FILE_SIZE:
+        raise SceneError(f"{path}: must not be larger than {MAX_FILE_SIZE} bytes to be a scene file")
+    try:
+        return tomllib.loads(content.decode("utf-8-sig"))
+    except UnicodeDecodeError as error:
+        line = content[: error.start].count(b"\n") + 1
+        raise SceneError(f"{path}: must be UTF-8 text, but line {line} is not") from None
+    except (ValueError, RecursionError) as error:
+        reason = "nested too deeply" if isinstance(error, RecursionError) else error
+        raise SceneError(f"{path}: not valid TOML: {reason}") from None
+
+
+def apply_override(override: str, tables: dict[str, Any]) -> None:
+    """Sets one key of nested tables, in place, from "key.path=value".
+
+    Args:
+        override: its value is read as a TOML value and, where it is none, as a bare string.
+        tables: the scene so far.
+
+    Raises:
+        SceneError: it is written otherwise, or its path leads through something that is no table.
+    """
+    path, equals, text = override.partition("=")
+    *parents, last = (part.strip() for part in path.split("."))
+    if not equals or not all((*parents, last)):
+        raise SceneError(f"{shown(override)}: an override must read key.path=value")
+    if any("\ud800" <= character <= "\udfff" for character in override):  # how Python passes on undecodable bytes
+        raise SceneError(f"{path.strip()} = {shown(text)}: must be UTF-8 text")
+    table = tables
+    for depth, parent in enumerate(parents, start=1):
+        table = table.setdefault(parent, {})
+        if not isinstance(table, dict):
+            above = ".".join(parents[:depth])
+            raise SceneError(f"{path.strip()} = {shown(text)}: cannot be set, as {above} is not a table")
+    table[last] = _toml_value(text)
+
+
+def _toml_value(text: str) -> object:
+    """Returns what a text means as a TOML value, or the text itself where it means nothing."""
+    try:
+        parsed = tomllib.loads(f"value = {text}")
+    except (ValueError, RecursionError):
+        return text
+    return parsed["value"] if parsed.keys() == {"value"} else text
