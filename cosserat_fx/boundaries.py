@@ -14,8 +14,11 @@ from ufl.core.expr import Expr
 from cosserat_fx._compat import MPI, dolfinx
 from cosserat_fx.conditions import Condition, Field, Load, Prescribed, Work, fixed
 from cosserat_fx.extensions import BoundaryContext, MakesConditions
-from cosserat_fx.forms import loads, walls
+from cosserat_fx.forms import ties
+from cosserat_fx.forms.couple import couple_work, rotational_resistance_work
 from cosserat_fx.forms.pressure import pressure_work
+from cosserat_fx.forms.traction import balancing_work, traction_work
+from cosserat_fx.forms.weight import weight_work
 from cosserat_fx.geometry import Geometry
 from cosserat_fx.histories import History
 from cosserat_fx.normals import BoundaryNormals
@@ -26,7 +29,7 @@ from cosserat_fx.scene import PlaneScene
 from cosserat_fx.typing import Array
 
 TIE_STIFFNESS = 1e4
-"""Stiffness of the springs that hold what no unknown can, over that of a cell: they give way by some 1e-6 of it."""
+"""Stiffness of the ties, over that of the smallest cell; they give way by some 1e-6 of its size."""
 _BALANCED = 1e-9
 _COMPONENTS: tuple[Field, Field] = ("u1", "u2")
 
@@ -129,14 +132,14 @@ class BoundaryMaker:
             yield self._traction(name, boundary)
         if boundary.couple is not None:
             couple = self.path.load(boundary.couple, 0.0)
-            yield Load(lambda m, u, w, v, q, ds: loads.couple_work(m[0], q, ds), lambda t: (couple(t),), name)
+            yield Load(lambda m, u, w, v, q, ds: couple_work(m[0], q, ds), lambda t: (couple(t),), name)
         if boundary.pressure is not None:
             yield self._pressure(name, boundary.pressure)
         if boundary.symmetry:
             yield from self._symmetry(name)
         if boundary.rotational_resistance:
             resistance = self._constant(boundary.rotational_resistance)
-            yield Work(lambda u, w, v, q, ds: walls.rotational_resistance_work(resistance, w, q, ds), name)
+            yield Work(lambda u, w, v, q, ds: rotational_resistance_work(resistance, w, q, ds), name)
         if boundary.wall is not None:
             yield from self._wall(name, boundary.wall)
         context = BoundaryContext(
@@ -166,9 +169,7 @@ class BoundaryMaker:
             return [stress * b(travel) for b in balances] + [f(travel) for f in values]
 
         return Load(
-            lambda t, u, w, v, q, ds: (
-                loads.balancing_work(_part(t, 0), v, ds) + loads.traction_work(_part(t, 2), v, ds)
-            ),
+            lambda t, u, w, v, q, ds: balancing_work(_part(t, 0), v, ds) + traction_work(_part(t, 2), v, ds),
             value,
             name,
         )
@@ -186,7 +187,7 @@ class BoundaryMaker:
         if weight is None:
             return []
         full = weight.density * weight.gravity
-        return [Load(lambda g, u, w, v, q, dx: loads.weight_work(g[0], v, dx), lambda t: (full * self.path.loaded(t),))]
+        return [Load(lambda g, u, w, v, q, dx: weight_work(g[0], v, dx), lambda t: (full * self.path.loaded(t),))]
 
     # -- symmetry and walls ----------------------------------------------------------------------------------------
 
@@ -236,7 +237,7 @@ class BoundaryMaker:
     def _normal_tie(self, name: str, move: Callable[[float], Sequence[float]]) -> Load:
         stiffness, normal, order = self._tie_stiffness(), self._normal_field(name, self.order), self.order
         return Load(
-            lambda d, u, w, v, q, ds: walls.normal_tie_work(d, stiffness, normal, u, v, walls.at_nodes(ds, order)),
+            lambda d, u, w, v, q, ds: ties.normal_tie_work(d, stiffness, normal, u, v, ties.at_nodes(ds, order)),
             move,
             name,
         )
@@ -244,7 +245,7 @@ class BoundaryMaker:
     def _tangential_tie(self, name: str, move: Callable[[float], Sequence[float]]) -> Load:
         stiffness, normal, order = self._tie_stiffness(), self._normal_field(name, self.order), self.order
         return Load(
-            lambda d, u, w, v, q, ds: walls.tangential_tie_work(d, stiffness, normal, u, v, walls.at_nodes(ds, order)),
+            lambda d, u, w, v, q, ds: ties.tangential_tie_work(d, stiffness, normal, u, v, ties.at_nodes(ds, order)),
             move,
             name,
         )
@@ -253,7 +254,7 @@ class BoundaryMaker:
         rotation, normal = self._constant(turn), self._normal_field(name, 1)
         couple = self._tie_stiffness(self.scene.material.couple_over_shear_stiffness)
         return Work(
-            lambda u, w, v, q, ds: walls.rolling_tie_work(rotation, couple, normal, u, w, v, q, walls.at_nodes(ds, 1)),
+            lambda u, w, v, q, ds: ties.rolling_tie_work(rotation, couple, normal, u, w, v, q, ties.at_nodes(ds, 1)),
             name,
         )
 

@@ -9,7 +9,7 @@ from typing import Literal
 import ufl
 from ufl.core.expr import Expr
 
-from cosserat_fx.forms import loads
+from cosserat_fx.forms.traction import traction_work
 from cosserat_fx.typing import Array
 
 Field = Literal["u1", "u2", "u3", "w"]
@@ -92,4 +92,4 @@ def traction(boundary: str, value: Callable[[float], Sequence[float]]) -> Load:
         boundary: name of the boundary.
         value: its components at a travel (m) along the path.
     """
-    return Load(lambda t, u, w, v, q, ds: loads.traction_work(t, v, ds), value, boundary)
+    return Load(lambda t, u, w, v, q, ds: traction_work(t, v, ds), value, boundary)

@@ -9,8 +9,8 @@ from cosserat_fx import geometry
 from cosserat_fx._compat import MPI
 from cosserat_fx.conditions import Condition, Load, Prescribed, traction
 from cosserat_fx.effects import numerics
-from cosserat_fx.forms import loads
 from cosserat_fx.forms.walls import rolling_rotation
+from cosserat_fx.forms.weight import weight_work
 from cosserat_fx.initial_state import void_ratio_of
 from cosserat_fx.layer_schema import Wall
 from cosserat_fx.measured_field import FieldFileError
@@ -121,7 +121,7 @@ def _weight(scene: LayerScene, path: Path) -> list[Load]:
     if scene.weight is None:
         return []
     full = scene.weight.density * scene.weight.gravity
-    return [Load(lambda g, u, w, v, q, dx: loads.weight_work(g[0], v, dx), lambda travel: (full * path.load(travel),))]
+    return [Load(lambda g, u, w, v, q, dx: weight_work(g[0], v, dx), lambda travel: (full * path.load(travel),))]
 
 
 def _wall_conditions(

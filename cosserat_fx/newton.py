@@ -122,7 +122,7 @@ class NewtonSolver:
             if failure := problem.update(adapt=True):
                 return Solution(False, iterations, str(failure), residual)
             if not problem.comm.allreduce(bool(np.any(before != problem.state.substeps)), op=MPI.LOR):
-                return Solution(True, iterations, "converged", residual, stable=self._determinant_sign() >= 0)
+                return Solution(True, iterations, "converged", residual, stable=self._is_stable(iterations))
             self._frozen = True
         return Solution(False, iterations, "the number of local substeps did not settle", residual)
 
@@ -172,11 +172,20 @@ class NewtonSolver:
         pc = self.snes.getKSP().getPC()
         return bool(pc.getType() == "lu" and pc.getFactorSolverType() == "mumps")
 
-    def _determinant_sign(self) -> int:
-        """Sign of the determinant of the tangent factorised last, 0 where it is unknown."""
-        if not self.sees_branches or not self.snes.getIterationNumber():
-            return 0
-        return int(np.sign(self.snes.getKSP().getPC().getFactorMatrix().getMumpsRinfog(12)))
+    def _is_stable(self, iterations: int) -> bool:
+        """Whether the determinant of the tangent factorised last is positive, or unknown.
+
+        Args:
+            iterations: made for this equilibrium; where a guess was one, its tangent is factorised now.
+        """
+        if not self.sees_branches:
+            return True
+        ksp = self.snes.getKSP()
+        if not iterations:
+            self._assemble_jacobian(self._problem.matrix)
+            ksp.setOperators(self._problem.matrix)
+            ksp.setUp()
+        return bool(ksp.getPC().getFactorMatrix().getMumpsRinfog(12) >= 0)
 
     def _residual(self, snes: PETSc.SNES, x: PETSc.Vec, b: PETSc.Vec) -> None:
         """Residual callback; a state that cannot be reached has an infinite one."""

@@ -12,7 +12,8 @@ from ufl.constantvalue import ConstantValue
 from ufl.core.expr import Expr
 
 from cosserat_fx._compat import dolfinx
-from cosserat_fx.forms import kinematics, loads, stabilization
+from cosserat_fx.forms import kinematics, stabilization
+from cosserat_fx.forms.traction import traction_work
 from cosserat_fx.typing import Array
 
 LAMBDA, MU, MU_C, BETA, GAMMA = 1.3, 1.0, 0.6, 0.05, 0.2
@@ -112,7 +113,7 @@ def solve(body: Body, hourglass: float = 0.0, *, fields: Fields | None = None, d
     dx = ufl.dx(body.mesh, metadata={"quadrature_degree": 6})
     ds = ufl.ds(body.mesh, metadata={"quadrature_degree": 6})
     inside = ufl.dx(body.mesh, metadata={"quadrature_degree": degree})
-    external = ufl.inner(exact.force, v) * inside + loads.traction_work(exact.traction, v, ds)
+    external = ufl.inner(exact.force, v) * inside + traction_work(exact.traction, v, ds)
     if q is not None:
         external += exact.couple * q * inside
     matrix = stiffness(body, hourglass)

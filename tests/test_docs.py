@@ -408,7 +408,7 @@ def test_the_elements_are_told() -> None:
 
 @pytest.mark.parametrize("case", CASES)
 def test_the_default_elements_are_the_best_measured(case: str) -> None:
-    """Of the elements with the same cells on the same mesh, by the error of the stress."""
+    """Of the elements with the same cells on the same mesh, none has a stress that is measurably nearer."""
     heads, *cells = [row for above, row in pages.rows("docs/elements.md") if above == f"Elements, {case}"]
     error: dict[str, float] = {}
     for row in cells:
@@ -417,7 +417,7 @@ def test_the_default_elements_are_the_best_measured(case: str) -> None:
             error[told["element"]] = abs(float(told["error (%)"])) if told["error (%)"] else np.inf
     assert error.keys() == ELEMENTS.keys()
     for cell, default in DEFAULT.items():
-        assert error[default] == min(error[e.name] for e in ELEMENTS.values() if e.cell == cell)
+        assert error[default] <= 0.02 + min(error[e.name] for e in ELEMENTS.values() if e.cell == cell)
 
 
 # -- docs/theory.md ----------------------------------------------------------------------------------------------------
