@@ -35,7 +35,8 @@ lint: .venv/.complete
 
 bench: .venv/.complete
 	.venv/bin/python benchmarks/layer_accuracy.py --out runs/layer_accuracy
-	echo "Tables and figures are in runs/layer_accuracy."
+	.venv/bin/python benchmarks/element_study.py --quick --out runs/element_study
+	echo "Tables and figures are in runs/layer_accuracy and runs/element_study."
 
 # What the pages show and a run can make anew.
 docs: demo bench
@@ -43,6 +44,25 @@ docs: demo bench
 	cp runs/layer_accuracy/*.png docs/figures/
 	sed -i '/^<!-- tables -->$$/q' docs/layer-accuracy.md
 	cat runs/layer_accuracy/tables.md >> docs/layer-accuracy.md
+	.venv/bin/python benchmarks/element_study.py --out runs/element_study
+	cp runs/element_study/*.png docs/figures/
+	sed -i '/^<!-- tables -->$$/q' docs/elements.md
+	cat runs/element_study/tables.md >> docs/elements.md
+	.venv/bin/cosserat-fx run demos/biaxial.toml --out runs/biaxial --overwrite
+	cp runs/biaxial/figures/state_04.png docs/figures/biaxial.png
+	.venv/bin/python benchmarks/biaxial_accuracy.py --out runs/biaxial_accuracy
+	cp runs/biaxial_accuracy/*.png docs/figures/
+	sed -i '/^<!-- tables -->$$/q' docs/biaxial.md
+	cat runs/biaxial_accuracy/tables.md >> docs/biaxial.md
+	.venv/bin/python benchmarks/plane_demos.py --out runs/plane_demos
+	cp runs/plane_demos/*.png docs/figures/
+	cp runs/plane_demos/shear_box_4/figures/state_03.png docs/figures/shear_box.png
+	for page in shear-box rough-strip; do
+	  sed -i -e "/^<!-- $$page.md -->$$/,/^<!-- end -->$$/{//!d}" -e "/^<!-- $$page.md -->$$/r runs/plane_demos/$$page.md" docs/$$page.md
+	done
+	for strip in very medium; do
+	  cp runs/plane_demos/rough_strip_$${strip}_rough/figures/state_03.png docs/figures/rough_strip_$${strip}_rough.png
+	done
 
 install: .venv/.complete
 

@@ -104,7 +104,7 @@ HELD = change(RECTANGLE, {"material.d50": 1e-3, "geometry.cells": [8, 28]})
 PLANE_BAD_BODIES = {
     "a body that can move rigidly": ("points={}", "the body can move rigidly, nothing holds its displacement along x1"),
     "grains under no pressure": ("boundaries.left={}", "boundaries.left is missing a condition normal to it"),
-    "elements larger than a band": ("geometry.cells=[2, 7]", "geometry: elements must be smaller than a shear band"),
+    "elements larger than a band": ("geometry.cells=[2, 7]", "geometry.cells = [2, 7]: elements must be smaller"),
     "no such boundary": (
         "boundaries.lid.w=0",
         'boundaries.lid = "lid": must be a boundary of the mesh, bottom, top, l',

@@ -61,9 +61,9 @@ def test_files_that_are_named_exist(page: str) -> None:
     assert [name for name in named if not (ROOT / name).exists()] == []
 
 
-def test_the_picture_is_light() -> None:
-    (picture,) = re.findall(r"!\[[^]]*\]\(([^)]+)\)", pages.text("README.md"))
-    assert (ROOT / picture).stat().st_size < 200_000
+def test_the_pictures_are_light() -> None:
+    for picture in re.findall(r"!\[[^]]*\]\(([^)]+)\)", pages.text("README.md")):
+        assert (ROOT / picture).stat().st_size < 250_000
 
 
 # -- commands ----------------------------------------------------------------------------------------------------------
@@ -121,14 +121,18 @@ class FollowedReadme:
 
 @pytest.fixture(scope="module")
 def followed(tmp_path_factory: pytest.TempPathFactory) -> FollowedReadme:
-    """Runs with 40 cells and draws figures once, without VTK; the demo's scene runs on one rank."""
+    """Runs with 40 cells and draws figures once, without VTK; the demo's scene runs on one rank.
+
+    The plane body is left to the tests of the demos.
+    """
     folder = tmp_path_factory.mktemp("readme")
     (scene,) = pages.blocks("README.md", "toml")
     (folder / "first.toml").write_text(scene)
     shutil.copytree(ROOT / "demos", folder / "demos")
     program = ".venv/bin/cosserat-fx "
-    lines = [command.split(program)[1] for command in pages.commands("README.md") if program in command]
-    assert len(lines) == 4
+    commands = [command for command in pages.commands("README.md") if program in command]
+    lines = [command.split(program)[1] for command in commands if "demos/biaxial.toml" not in command]
+    assert len(lines) == len(commands) - 1 == 4
     output = io.StringIO()
     with contextlib.chdir(folder), pytest.MonkeyPatch.context() as patch:
         patch.setattr(layer_figure, "_vtk_image", lambda *_: None)

@@ -109,7 +109,7 @@ def test_what_a_plane_scene_leaves_out_is_filled_in() -> None:
     assert isinstance(scene.geometry, RectangleGeometry)
     assert (scene.geometry.grading.x, scene.geometry.grading.y) == (None, None)
     assert (scene.initial.zones, scene.initial.random, scene.initial.field) == ((), None, None)
-    assert (scene.weight, scene.stepping.branch) == (None, "stable")
+    assert (scene.weight, scene.stepping.branch) == (None, None)
     assert (scene.solver.element, scene.solver.hourglass) == ("auto", 0.005)
     output = scene.output
     assert (output.fields_at, output.frames, output.columns) == ((0.01,), 40, {})
@@ -192,7 +192,7 @@ def test_a_leg_is_as_long_as_its_largest_change_or_as_tables_say(
 
 
 @settings(max_examples=50, deadline=None)
-@drawn(st.lists(st.floats(-0.05, 0.05).filter(lambda it: abs(it) > 1e-6), min_size=1, max_size=5, unique=True))
+@drawn(st.lists(st.integers(-500, 500).filter(bool).map(lambda it: 1e-4 * it), min_size=1, max_size=5, unique=True))
 def test_a_list_and_the_table_of_its_targets_over_the_travel_are_one_path(targets: list[float]) -> None:
     by_list = parse_plane(changed({"boundaries.top.u2": targets}))
     travel = [0.0]

@@ -88,7 +88,7 @@ def test_what_a_scene_leaves_out_is_filled_in() -> None:
         "max_step": None,
         "min_step": None,
         "max_steps": 100000,
-        "branch": "stable",
+        "branch": None,
     }
     assert (scene.solver.integration_points, scene.solver.petsc) == (1, {})
     assert (scene.output.fields, scene.output.figures) == (True, True)
