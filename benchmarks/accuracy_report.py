@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from measured import QUANTITIES, Converged, Measured, Quantity, limit
 
-from cosserat_fx.page import figure
+from cosserat_fx.output.page import figure
 from cosserat_fx.typing import Array
 
 LIMIT = 0.2

@@ -19,8 +19,8 @@ from matplotlib.collections import PolyCollection
 from rich.console import Console
 
 from cosserat_fx._compat import MPI
-from cosserat_fx.page import figure
-from cosserat_fx.plane_fields import PlaneState, read_states
+from cosserat_fx.output.page import figure
+from cosserat_fx.output.plane_fields import PlaneState, read_states
 from cosserat_fx.results import Run, read_run
 from cosserat_fx.run import run
 from cosserat_fx.scene import load_scene

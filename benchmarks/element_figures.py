@@ -14,8 +14,8 @@ from matplotlib.collections import PolyCollection, TriMesh
 from matplotlib.ticker import LogLocator, NullFormatter
 from matplotlib.tri import Triangulation
 
-from cosserat_fx.page import figure
-from cosserat_fx.plane_schema import PlaneSolver
+from cosserat_fx.output.page import figure
+from cosserat_fx.scenes.plane import PlaneSolver
 
 _MARKS: dict[str, tuple[str, str]] = {
     "Q1R": ("C0", "o"),

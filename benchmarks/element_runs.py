@@ -21,11 +21,11 @@ from element_meshes import Pattern, alternating_part, write_rectangle
 from cosserat_fx import elements, plane, weakform
 from cosserat_fx._compat import MPI, dolfinx
 from cosserat_fx.elements import ELEMENTS, Element
-from cosserat_fx.plane_bands import NoBandError, measure_band
-from cosserat_fx.plane_fields import PlaneState
-from cosserat_fx.plane_observation import PlaneObserver
-from cosserat_fx.plane_schema import RectangleGeometry
+from cosserat_fx.output.plane_bands import NoBandError, measure_band
+from cosserat_fx.output.plane_fields import PlaneState
+from cosserat_fx.output.plane_observation import PlaneObserver
 from cosserat_fx.scene import PlaneScene, load_scene, parse_scene
+from cosserat_fx.scenes.plane import RectangleGeometry
 from cosserat_fx.stepping import StepControl, Stepper, SteppingError
 
 HERE = Path(__file__).resolve().parent

@@ -24,7 +24,7 @@ from measured import QUANTITIES, Converged, Measured, Quantity, limit, walk
 from rich.console import Console
 
 from cosserat_fx._compat import MPI
-from cosserat_fx.layer import build, step_control
+from cosserat_fx.layer import build
 from cosserat_fx.scene import load_scene
 from cosserat_fx.stepping import StepControl, Stepper
 
@@ -123,7 +123,7 @@ class Bench:
             keys.append(f"solver.local_tolerance={local_tolerance}")
         scene = load_scene(DEMOS / WALLS[wall], keys)
         layer = build(scene, MPI.COMM_SELF)
-        control = ALONG_GIVEN_STEPS if travels else _scaled(step_control(scene), step_factor)
+        control = ALONG_GIVEN_STEPS if travels else _scaled(layer.stepper.control, step_factor)
         stations = travels or layer.stations
         stepper = Stepper(layer.problem, layer.stepper.solver, layer.path.corners, stations, control)
         measured = Measured(study=study, wall=wall, case=case, points=points, cells=cells, **walk(layer, stepper))

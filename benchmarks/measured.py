@@ -10,9 +10,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from cosserat_fx.bands import band_metrics, friction_metrics
 from cosserat_fx.layer import Layer
-from cosserat_fx.observation import LayerObserver
+from cosserat_fx.output.layer_bands import band_metrics, friction_metrics
+from cosserat_fx.output.layer_observation import LayerObserver
 from cosserat_fx.scene import Scene
 from cosserat_fx.stepping import Stepper, SteppingError
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from cosserat_fx._compat import dolfinx, evaluate
 from cosserat_fx.forms import kinematics
-from cosserat_fx.observation import Row, largest
+from cosserat_fx.output.layer_observation import Row, largest
 from cosserat_fx.typing import Array
 from cosserat_fx.weakform import split
 

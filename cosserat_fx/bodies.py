@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from cosserat_fx import layer, plane
 from cosserat_fx._compat import MPI
-from cosserat_fx.layer_recording import LayerRecording
 from cosserat_fx.newton import PetscOption
-from cosserat_fx.plane_recording import PlaneRecording
-from cosserat_fx.recording import Recording
+from cosserat_fx.output.layer_recording import LayerRecording
+from cosserat_fx.output.plane_recording import PlaneRecording
+from cosserat_fx.output.recording import Recording
 from cosserat_fx.scene import LayerScene, PlaneScene, Scene
 
 type Body = layer.Layer | plane.Plane

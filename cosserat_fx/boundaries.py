@@ -20,12 +20,12 @@ from cosserat_fx.forms.pressure import pressure_work
 from cosserat_fx.forms.traction import balancing_work, traction_work
 from cosserat_fx.forms.weight import weight_work
 from cosserat_fx.geometry import Geometry
-from cosserat_fx.histories import History
-from cosserat_fx.normals import BoundaryNormals
+from cosserat_fx.meshes.normals import BoundaryNormals
 from cosserat_fx.plane_path import Function, PlanePath, initial_load
-from cosserat_fx.plane_schema import Boundary, BoundaryWall, Point
-from cosserat_fx.refusals import SceneError
 from cosserat_fx.scene import PlaneScene
+from cosserat_fx.scenes.histories import History
+from cosserat_fx.scenes.plane import Boundary, BoundaryWall, Point
+from cosserat_fx.scenes.refusals import SceneError
 from cosserat_fx.typing import Array
 
 TIE_STIFFNESS = 1e4

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, Protocol, runtime_checkable
 
-from cosserat_fx.histories import History
 from cosserat_fx.material import Material
-from cosserat_fx.schema import Table
+from cosserat_fx.scenes.histories import History
+from cosserat_fx.scenes.schema import Table
 
 if TYPE_CHECKING:
     from cosserat_fx.conditions import Condition
@@ -68,7 +68,7 @@ def register(name: str, table: type[Table]) -> None:
         ValueError: the name is no identifier, or already taken by the program or another table.
         TypeError: the table is not derived from `Table`, or has no method `conditions`.
     """
-    from cosserat_fx.plane_schema import Boundary  # which asks this module for the keys registered
+    from cosserat_fx.scenes.plane import Boundary  # which asks this module for the keys registered
 
     if not re.fullmatch(IDENTIFIER, name):
         raise ValueError(f"{name!r} must be made of letters, digits and underscores, beginning with a letter")

@@ -11,19 +11,20 @@ from cosserat_fx.conditions import Condition, Load, Prescribed, traction
 from cosserat_fx.effects import numerics
 from cosserat_fx.forms.walls import rolling_rotation
 from cosserat_fx.forms.weight import weight_work
-from cosserat_fx.initial_state import void_ratio_of
-from cosserat_fx.layer_schema import Wall
-from cosserat_fx.measured_field import FieldFileError
-from cosserat_fx.meshfile import MeshError
-from cosserat_fx.newton import NewtonSolver, PetscOption
+from cosserat_fx.initial.measured_field import FieldFileError
+from cosserat_fx.initial.state import void_ratio_of
+from cosserat_fx.meshes.file import MeshError
+from cosserat_fx.newton import PetscOption
 from cosserat_fx.path import Path, Waypoint
 from cosserat_fx.problem import Problem
-from cosserat_fx.refusals import scene_error
 from cosserat_fx.scene import LayerScene
-from cosserat_fx.stepping import StepControl, Stepper
+from cosserat_fx.scenes.layer import Wall
+from cosserat_fx.scenes.refusals import scene_error
+from cosserat_fx.stepping import Stepper
+from cosserat_fx.walk import Branch, step_control, stepper_of
 
-FIRST_STEP = 0.0025
-"""Default first step over the height of the layer: the mean shear strain in which the stiff response shows."""
+BRANCH: Branch = "primary"
+"""What a layer may branch into differs little from one solution to the next, and its mean response less."""
 
 
 @dataclass(frozen=True)
@@ -73,15 +74,10 @@ def build(scene: LayerScene, comm: MPI.Intracomm, options: dict[str, PetscOption
         void_ratio=void_ratio.values,
         numerics=chosen,
     )
-    solver = NewtonSolver(
-        problem,
-        tolerance=scene.solver.newton_tolerance,
-        max_iterations=scene.solver.max_iterations,
-        options={**scene.solver.petsc, **(options or {})},
-    )
     legs_before = len(path.corners) - 1 - len(scene.legs)
     stations = tuple(path.at(legs_before + station.leg, station.fraction) for station in scene.profile_stations)
-    stepper = Stepper(problem, solver, path.corners, stations, step_control(scene))
+    control = step_control(scene, scene.geometry.height, BRANCH)
+    stepper = stepper_of(scene, problem, path.corners, stations, control, options)
     return Layer(scene, problem, stepper, path, stations, void_ratio.warnings)
 
 
@@ -133,16 +129,3 @@ def _wall_conditions(
     if polar:
         given.append(Prescribed(side, "w", lambda travel: rolling_rotation(displacement(travel), turn, outward)))
     return given
-
-
-def step_control(scene: LayerScene) -> StepControl:
-    """Step sizes as the scene asks for them, or from the layer's height."""
-    asked = scene.stepping
-    first = asked.first_step or min(FIRST_STEP * scene.geometry.height, asked.max_step or float("inf"))
-    return StepControl(
-        first=first,
-        largest=asked.max_step or float("inf"),
-        smallest=asked.min_step or 0.0,
-        branch=asked.branch or "primary",
-        max_steps=asked.max_steps,
-    )

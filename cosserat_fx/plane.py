@@ -5,27 +5,29 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from cosserat_fx import geometry, meshfile
+from cosserat_fx import geometry
 from cosserat_fx._compat import MPI
 from cosserat_fx.boundaries import BoundaryMaker, needs_loading
 from cosserat_fx.effects import numerics
-from cosserat_fx.element_size import size_report
 from cosserat_fx.geometry import Geometry, Grading
-from cosserat_fx.initial_state import void_ratio_of
+from cosserat_fx.initial.measured_field import FieldFileError
+from cosserat_fx.initial.state import void_ratio_of
 from cosserat_fx.material import AdmissibilityError
-from cosserat_fx.measured_field import FieldFileError
-from cosserat_fx.meshfile import MeshError
-from cosserat_fx.newton import NewtonSolver, PetscOption
+from cosserat_fx.meshes import file as meshfile
+from cosserat_fx.meshes.file import MeshError
+from cosserat_fx.meshes.sizes import size_report
+from cosserat_fx.newton import PetscOption
 from cosserat_fx.plane_path import PlanePath
-from cosserat_fx.plane_schema import RectangleGeometry
 from cosserat_fx.problem import Problem
-from cosserat_fx.refusals import SceneError, line, scene_error
 from cosserat_fx.rigidity import rigid_motions
 from cosserat_fx.scene import PlaneScene
-from cosserat_fx.stepping import StepControl, Stepper
+from cosserat_fx.scenes.plane import RectangleGeometry
+from cosserat_fx.scenes.refusals import SceneError, line, scene_error
+from cosserat_fx.stepping import Stepper
+from cosserat_fx.walk import Branch, step_control, stepper_of
 
-FIRST_STEP = 0.0025
-"""Default first step over the smallest extent of the body: the mean strain in which the stiff response shows."""
+BRANCH: Branch = "stable"
+"""Where a plane body may branch it may form a shear band, or not."""
 
 
 @dataclass(frozen=True)
@@ -71,11 +73,8 @@ def build(scene: PlaneScene, comm: MPI.Intracomm, options: dict[str, PetscOption
         raise SceneError(f"initial.field.file: {error}") from error
     sizes = size_report(body, scene.material.d50)
     if sizes.error:
-        described = scene.geometry
-        key, value = (
-            ("cells", described.cells) if isinstance(described, RectangleGeometry) else ("file", described.file)
-        )
-        raise SceneError(line(f"geometry.{key}", value, sizes.error))
+        key = "cells" if isinstance(scene.geometry, RectangleGeometry) else "file"
+        raise SceneError(line(f"geometry.{key}", getattr(scene.geometry, key), sizes.error))
     loading = scene.material.d50 if needs_loading(scene, body) else 0.0
     path = PlanePath(scene.leg_lengths, loading=loading)
     conditions = BoundaryMaker(scene, body, path, chosen.finite, chosen.order).conditions()
@@ -92,16 +91,11 @@ def build(scene: PlaneScene, comm: MPI.Intracomm, options: dict[str, PetscOption
             f"boundaries: the body can move rigidly, nothing holds its {' and '.join(motions)}: "
             "must have displacements prescribed, if only at a point"
         )
-    solver = NewtonSolver(
-        problem,
-        tolerance=scene.solver.newton_tolerance,
-        max_iterations=scene.solver.max_iterations,
-        options={**scene.solver.petsc, **(options or {})},
-    )
     stations = tuple(path.start + travel for travel in scene.output.fields_at or ())
-    stepper = Stepper(problem, solver, path.corners, stations, step_control(scene, body.smallest_extent))
+    control = step_control(scene, body.smallest_extent, BRANCH)
+    stepper = stepper_of(scene, problem, path.corners, stations, control, options)
     warnings = [*void_ratio.warnings, *([sizes.warning] if sizes.warning else [])]
-    if stepper.control.branch == "stable" and not solver.sees_branches:
+    if control.branch == "stable" and not stepper.solver.sees_branches:
         warnings.append(
             "branches of equilibrium are not watched: of the direct solvers only MUMPS tells the tangent's determinant"
         )
@@ -139,15 +133,3 @@ def check_names(scene: PlaneScene, body: Geometry) -> None:
     for name, column in scene.output.columns.items():
         if column.boundary not in body.boundaries:
             raise AdmissibilityError(f"output.columns.{name}.boundary", column.boundary, allowed)
-
-
-def step_control(scene: PlaneScene, size: float) -> StepControl:
-    """Step sizes as the scene asks for them, or from the body's smallest extent (m)."""
-    asked = scene.stepping
-    return StepControl(
-        first=asked.first_step or min(FIRST_STEP * size, asked.max_step or float("inf")),
-        largest=asked.max_step or float("inf"),
-        smallest=asked.min_step or 0.0,
-        branch=asked.branch or "stable",
-        max_steps=asked.max_steps,
-    )

@@ -11,7 +11,7 @@ from itertools import accumulate
 
 import numpy as np
 
-from cosserat_fx.histories import History, HistoryTable
+from cosserat_fx.scenes.histories import History, HistoryTable
 
 Function = Callable[[float], float]
 

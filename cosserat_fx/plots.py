@@ -12,10 +12,10 @@ from typing import NamedTuple
 import matplotlib as mpl
 import numpy as np
 
-from cosserat_fx.bands import wall_travel
-from cosserat_fx.layer_figure import draw_layer
-from cosserat_fx.page import GUIDE, axis_range, figure, labels, layer_height
-from cosserat_fx.plane_figures import draw_plane
+from cosserat_fx.output.layer_bands import wall_travel
+from cosserat_fx.output.layer_figure import draw_layer
+from cosserat_fx.output.page import GUIDE, axis_range, figure, labels, layer_height
+from cosserat_fx.output.plane_figures import draw_plane
 from cosserat_fx.results import OutputError, Run, RunFolder, read_run
 
 _DASHES = ("-", (0, (6, 1.5)), (0, (5, 1.5, 1, 1.5)), (0, (1, 1)), (0, (9, 1.5, 1, 1.5, 1, 1.5)), (0, (3, 1)))

@@ -18,11 +18,11 @@ from cosserat_fx.effects import Effect, effects
 from cosserat_fx.hypoplasticity import REASONS, Status
 from cosserat_fx.kernel_time import IN_KERNEL, kernel_shares
 from cosserat_fx.newton import PetscOption
-from cosserat_fx.observation import looseness
+from cosserat_fx.output.layer_observation import looseness
+from cosserat_fx.output.recording import Recording
 from cosserat_fx.parallel import on_first_rank
 from cosserat_fx.plots import draw_all
 from cosserat_fx.progress import RunProgress
-from cosserat_fx.recording import Recording
 from cosserat_fx.results import FORMAT, OutputError, RunFolder
 from cosserat_fx.scene import PlaneScene, Scene, SceneError
 from cosserat_fx.stepping import Step, SteppingError

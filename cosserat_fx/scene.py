@@ -13,20 +13,8 @@ from typing import Annotated, Any, Final, Self
 from pydantic import BeforeValidator, Discriminator, Field, InstanceOf, Tag, ValidationError, model_validator
 
 from cosserat_fx.elements import choose
-from cosserat_fx.histories import Given, check_motions_start_at_rest, count_legs, histories, largest_range, leg_lengths
-from cosserat_fx.initial_schema import Initial
-from cosserat_fx.layer_schema import (
-    LayerGeometry,
-    LayerOutput,
-    LayerSolver,
-    Leg,
-    Station,
-    Walls,
-    default_profiles,
-    find_stations,
-)
 from cosserat_fx.material import AdmissibilityError, Material
-from cosserat_fx.plane_checks import (
+from cosserat_fx.scenes.checks import (
     check_boundaries,
     check_columns,
     check_path_is_finite,
@@ -36,7 +24,27 @@ from cosserat_fx.plane_checks import (
     displacement_groups,
     reached,
 )
-from cosserat_fx.plane_schema import (
+from cosserat_fx.scenes.file import apply_override, read_tables
+from cosserat_fx.scenes.histories import (
+    Given,
+    check_motions_start_at_rest,
+    count_legs,
+    histories,
+    largest_range,
+    leg_lengths,
+)
+from cosserat_fx.scenes.initial import Initial
+from cosserat_fx.scenes.layer import (
+    LayerGeometry,
+    LayerOutput,
+    LayerSolver,
+    Leg,
+    Station,
+    Walls,
+    default_profiles,
+    find_stations,
+)
+from cosserat_fx.scenes.plane import (
     Boundary,
     MeshGeometry,
     PlaneOutput,
@@ -44,9 +52,8 @@ from cosserat_fx.plane_schema import (
     Point,
     RectangleGeometry,
 )
-from cosserat_fx.refusals import SceneError, either, line, refusal, shown
-from cosserat_fx.scene_file import apply_override, read_tables
-from cosserat_fx.schema import Effects, Output, Solver, Stepping, Table, Weight, spell_key, unknown_key
+from cosserat_fx.scenes.refusals import SceneError, either, line, refusal, shown
+from cosserat_fx.scenes.schema import Effects, Output, Solver, Stepping, Table, Weight, spell_key, unknown_key
 
 __all__ = [
     "DEFAULT_SET",

@@ -83,6 +83,8 @@ class Stepper:
     """
 
     HARD_ITERATIONS = 8
+    NO_STRAIN = 1e-10
+    """A body that moves as a whole strains by rounding, which says nothing about the next step."""
 
     def __init__(
         self,
@@ -193,7 +195,9 @@ class Stepper:
         strains = problem.strain_increments()
         self._last = _Increment(step, problem.unknown.x.array - problem.committed.x.array, strains)
         largest = problem.comm.allreduce(np.max(np.linalg.norm(strains, axis=1), initial=0.0), op=MPI.MAX)
-        size = step * control.strain / largest if largest else np.inf
+        if largest < self.NO_STRAIN:
+            return np.inf
+        size = step * control.strain / largest
         if last is not None:
             change = problem.comm.allreduce(np.sum((strains - step / last.size * last.strains) ** 2))
             total = problem.comm.allreduce(np.sum(strains**2))

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from cosserat_fx.bands import BandMetrics, band_metrics
 from cosserat_fx.material import Material
+from cosserat_fx.output.layer_bands import BandMetrics, band_metrics
 from cosserat_fx.results import Run, Table, read_run
 from cosserat_fx.run import run
 from cosserat_fx.scene import LayerScene, load_scene

@@ -5,7 +5,7 @@ from typing import Literal
 
 import numpy as np
 
-from cosserat_fx.plane_fields import PlaneState
+from cosserat_fx.output.plane_fields import PlaneState
 from cosserat_fx.typing import Array
 
 WIDTH, HEIGHT, D50 = 0.04, 0.14, 1e-3

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
-from cosserat_fx.bands import BandMetrics, band_metrics, friction_metrics, wall_travel
+from cosserat_fx.output.layer_bands import BandMetrics, band_metrics, friction_metrics, wall_travel
 from cosserat_fx.typing import Array
 
 HEIGHT, D50 = 0.04, 0.5e-3

@@ -13,8 +13,8 @@ import pytest
 from layers import DEMOS, HEIGHT, REQUESTED, WALLS, converged, demo, walk
 from ranks import ENVIRONMENT, mpiexec
 
-from cosserat_fx.meshfile import load
-from cosserat_fx.plane_fields import PlaneState, read_states
+from cosserat_fx.meshes.file import load
+from cosserat_fx.output.plane_fields import PlaneState, read_states
 from cosserat_fx.results import Run, read_run
 from cosserat_fx.typing import Array
 

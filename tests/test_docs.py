@@ -25,19 +25,20 @@ from pydantic.fields import FieldInfo
 from scenes import RECTANGLE, change
 from typer.testing import CliRunner
 
-from cosserat_fx import audit, cli, effects, layer_figure
-from cosserat_fx.bands import BandMetrics, FrictionMetrics
+from cosserat_fx import audit, cli, effects
 from cosserat_fx.elements import DEFAULT, ELEMENTS
-from cosserat_fx.histories import Meaning
 from cosserat_fx.hypoplasticity import FIRST_FAILURE, REASONS, Status
-from cosserat_fx.layer_schema import Leg, default_profiles
 from cosserat_fx.material import NAMED_SETS, Material, MaterialError
-from cosserat_fx.plane_bands import PlaneBand
-from cosserat_fx.plane_schema import RECTANGLE_BOUNDARIES, RectangleGeometry
+from cosserat_fx.output import layer_figure
+from cosserat_fx.output.layer_bands import BandMetrics, FrictionMetrics
+from cosserat_fx.output.plane_bands import PlaneBand
 from cosserat_fx.results import BOUNDARY_COLUMNS, HISTORY_COLUMNS, PLANE_COLUMNS, PROFILE_COLUMNS, Run, read_run
 from cosserat_fx.run import run as run_scene
 from cosserat_fx.scene import DEFAULT_SET, LayerScene, PlaneScene, Scene, parse_scene
-from cosserat_fx.schema import Table, Unit
+from cosserat_fx.scenes.histories import Meaning
+from cosserat_fx.scenes.layer import Leg, default_profiles
+from cosserat_fx.scenes.plane import RECTANGLE_BOUNDARIES, RectangleGeometry
+from cosserat_fx.scenes.schema import Table, Unit
 
 ROOT = pages.ROOT
 

@@ -29,12 +29,12 @@ from planes import (
 from points import update
 from ufl.core.expr import Expr
 
-from cosserat_fx import meshfile
 from cosserat_fx._compat import MPI, dolfinx
 from cosserat_fx.conditions import Field, Prescribed
 from cosserat_fx.elements import ELEMENTS, Element
 from cosserat_fx.forms import stabilization
 from cosserat_fx.material import Material
+from cosserat_fx.meshes import file as meshfile
 from cosserat_fx.newton import NewtonSolver
 from cosserat_fx.problem import Problem
 from cosserat_fx.stepping import StepControl, Stepper

@@ -13,10 +13,10 @@ from meshes import Mesh, identity, quarter_ring, skewed, square, write_msh
 from ranks import on_ranks
 
 from cosserat_fx._compat import MPI, dolfinx
-from cosserat_fx.element_size import size_report
 from cosserat_fx.geometry import Geometry, Grading, layer, rectangle, signed_areas
-from cosserat_fx.meshfile import MeshError, read
-from cosserat_fx.normals import BoundaryNormals
+from cosserat_fx.meshes.file import MeshError, read
+from cosserat_fx.meshes.normals import BoundaryNormals
+from cosserat_fx.meshes.sizes import size_report
 from cosserat_fx.typing import Array
 
 SIDES = {"bottom": (0.0, -1.0), "top": (0.0, 1.0), "left": (-1.0, 0.0), "right": (1.0, 0.0)}
@@ -330,10 +330,10 @@ from pathlib import Path
 import numpy as np
 import ufl
 from cosserat_fx._compat import MPI, dolfinx
-from cosserat_fx.element_size import size_report
+from cosserat_fx.meshes.sizes import size_report
 from cosserat_fx.geometry import Grading, rectangle
-from cosserat_fx.meshfile import MeshError, read
-from cosserat_fx.normals import BoundaryNormals
+from cosserat_fx.meshes.file import MeshError, read
+from cosserat_fx.meshes.normals import BoundaryNormals
 
 comm = MPI.COMM_WORLD
 def gathered(values):

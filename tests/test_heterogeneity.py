@@ -14,14 +14,14 @@ from meshes import quarter_ring, skewed, square, write_msh
 from ranks import on_ranks
 
 from cosserat_fx._compat import MPI
-from cosserat_fx.cell_samples import map_to_cells, reference_samples, share_out
 from cosserat_fx.geometry import Geometry, Grading, layer, rectangle
-from cosserat_fx.heterogeneity import MARGIN, VoidRatio, initial_void_ratio
-from cosserat_fx.initial_schema import FieldFile, Initial, RandomField, Zone
+from cosserat_fx.initial.cell_samples import map_to_cells, reference_samples, share_out
+from cosserat_fx.initial.measured_field import FieldFileError, MeasuredField, read_field
+from cosserat_fx.initial.random_field import RandomField as Waves
+from cosserat_fx.initial.void_ratio import MARGIN, VoidRatio, initial_void_ratio
 from cosserat_fx.material import AdmissibilityError
-from cosserat_fx.measured_field import FieldFileError, MeasuredField, read_field
-from cosserat_fx.meshfile import read
-from cosserat_fx.random_field import RandomField as Waves
+from cosserat_fx.meshes.file import read
+from cosserat_fx.scenes.initial import FieldFile, Initial, RandomField, Zone
 from cosserat_fx.typing import Array
 
 BASE = 0.6
@@ -323,10 +323,10 @@ from pathlib import Path
 import basix
 import numpy as np
 from cosserat_fx._compat import MPI
-from cosserat_fx.cell_samples import map_to_cells
-from cosserat_fx.heterogeneity import initial_void_ratio
-from cosserat_fx.initial_schema import Initial
-from cosserat_fx.meshfile import read
+from cosserat_fx.initial.cell_samples import map_to_cells
+from cosserat_fx.initial.void_ratio import initial_void_ratio
+from cosserat_fx.scenes.initial import Initial
+from cosserat_fx.meshes.file import read
 
 comm = MPI.COMM_WORLD
 body = read(Path(sys.argv[1]), comm)

@@ -114,7 +114,7 @@ def test_an_error_nobody_foresaw_on_one_rank_ends_all_ranks(tmp_path: Path) -> N
     """Without it being told the first rank would wait for the other one's part for ever."""
     sabotage = """
 from cosserat_fx._compat import MPI
-from cosserat_fx.observation import LayerObserver
+from cosserat_fx.output.layer_observation import LayerObserver
 def broken(self, step):
     raise ZeroDivisionError("on the second rank")
 if MPI.COMM_WORLD.rank == 1:

@@ -7,8 +7,8 @@ import pytest
 import specimens
 from specimens import AMPLITUDE, BACKGROUND, D50, MIDDLE, WIDTH, Field, Kind, band, specimen
 
-from cosserat_fx.plane_bands import NoBandError, PlaneBand, measure_band
-from cosserat_fx.plane_fields import PlaneState
+from cosserat_fx.output.plane_bands import NoBandError, PlaneBand, measure_band
+from cosserat_fx.output.plane_fields import PlaneState
 
 ANGLES = (30.0, -45.0, 52.3, -65.0)
 PROFILES = (specimens.gauss, specimens.sech2)

@@ -11,7 +11,7 @@ from planes import D50, PRESSURE, build, on_file, run, stress, visits
 from cosserat_fx.conditions import Field
 from cosserat_fx.plane import Plane
 from cosserat_fx.problem import Problem
-from cosserat_fx.refusals import SceneError
+from cosserat_fx.scenes.refusals import SceneError
 from cosserat_fx.typing import Array
 
 WIDTH = 0.02

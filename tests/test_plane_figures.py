@@ -11,8 +11,9 @@ import specimens
 from matplotlib.image import imread
 from PIL import Image
 
-from cosserat_fx import plane_figures, plots
-from cosserat_fx.plane_fields import PlaneFieldWriter, PlaneState
+from cosserat_fx import plots
+from cosserat_fx.output import plane_figures
+from cosserat_fx.output.plane_fields import PlaneFieldWriter, PlaneState
 from cosserat_fx.results import BOUNDARY_COLUMNS, FORMAT, PLANE_COLUMNS, OutputError, Run, RunFolder, read_run
 
 STATIONS = [0.003, 0.006]

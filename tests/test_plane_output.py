@@ -14,13 +14,13 @@ from cosserat_fx import geometry
 from cosserat_fx._compat import MPI, dolfinx
 from cosserat_fx.elements import ELEMENTS
 from cosserat_fx.material import Material
-from cosserat_fx.plane_fields import PlaneFieldWriter, PlaneState, read_states
-from cosserat_fx.plane_observation import PlaneObserver, mobilised_friction
-from cosserat_fx.plane_schema import Column
+from cosserat_fx.output.plane_fields import PlaneFieldWriter, PlaneState, read_states
+from cosserat_fx.output.plane_observation import PlaneObserver, mobilised_friction
 from cosserat_fx.problem import Problem
 from cosserat_fx.results import BOUNDARY_COLUMNS, PLANE_COLUMNS, OutputError, Run, read_run
 from cosserat_fx.run import run
 from cosserat_fx.scene import parse_scene
+from cosserat_fx.scenes.plane import Column
 from cosserat_fx.stepping import Step
 from cosserat_fx.typing import Array
 from cosserat_fx.weakform import Numerics

@@ -13,11 +13,11 @@ from scenes import ABSENT, RECTANGLE, Mutation, assert_scene_or_clear_refusal, c
 from cosserat_fx import extensions
 from cosserat_fx.conditions import Condition, Work
 from cosserat_fx.extensions import BoundaryContext, register
-from cosserat_fx.histories import DisplacementHistory, HistoryTable
 from cosserat_fx.material import Material
-from cosserat_fx.plane_schema import MeshGeometry, RectangleGeometry
 from cosserat_fx.scene import PlaneScene, SceneError, load_scene, parse_scene
-from cosserat_fx.schema import Table
+from cosserat_fx.scenes.histories import DisplacementHistory, HistoryTable
+from cosserat_fx.scenes.plane import MeshGeometry, RectangleGeometry
+from cosserat_fx.scenes.schema import Table
 
 BIAXIAL = """
 title = "Biaxial compression"

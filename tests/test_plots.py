@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from cosserat_fx import layer_figure, page, plots
+from cosserat_fx import plots
+from cosserat_fx.output import layer_figure, page
 from cosserat_fx.results import OutputError, Run, RunFolder, read_run
 
 HEIGHT, D50, POINTS = 0.04, 0.5e-3, 80

@@ -11,7 +11,7 @@ from scenes import ABSENT, Mutation, assert_scene_or_clear_refusal, change, muta
 
 from cosserat_fx.material import Material
 from cosserat_fx.scene import LayerScene, SceneError, load_scene, parse_scene
-from cosserat_fx.scene_file import MAX_FILE_SIZE
+from cosserat_fx.scenes.file import MAX_FILE_SIZE
 
 MEDIUM_ROUGH = """
 title = "Plane shearing under a medium rough wall"

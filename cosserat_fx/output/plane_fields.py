@@ -15,7 +15,7 @@ import meshio
 import numpy as np
 import numpy.typing as npt
 
-from cosserat_fx.fields import Series
+from cosserat_fx.output.layer_fields import Series
 from cosserat_fx.results import OutputError, Table
 from cosserat_fx.typing import Array
 

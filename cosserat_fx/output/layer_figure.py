@@ -20,7 +20,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.image import imread
 
-from cosserat_fx.page import DPI, LOOSE, WIDTH, figure, labels, layer_height
+from cosserat_fx.output.page import DPI, LOOSE, WIDTH, figure, labels, layer_height
 from cosserat_fx.results import Run, Table
 from cosserat_fx.typing import Array
 
@@ -114,7 +114,7 @@ def paint_columns(sheet: str, image: str) -> None:
 def _vtk_image(columns: list[_Column], extent: tuple[float, ...], limits: tuple[float, float]) -> Array | None:
     """What VTK paints, of shape ``(pixels, pixels, channels)``; None where it fails, aborts or paints nothing."""
     arrays: dict[str, Any] = {f"column{n}": np.stack([c.x, c.y, c.void_ratio]) for n, c in enumerate(columns)}
-    paint = "import sys; from cosserat_fx.layer_figure import paint_columns; paint_columns(*sys.argv[1:])"
+    paint = "import sys; from cosserat_fx.output.layer_figure import paint_columns; paint_columns(*sys.argv[1:])"
     with tempfile.TemporaryDirectory() as folder:
         sheet, image = Path(folder, "sheet.npz"), Path(folder, "image.png")
         np.savez(sheet, extent=extent, limits=limits, **arrays)

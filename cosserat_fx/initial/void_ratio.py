@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from cosserat_fx.cell_samples import Samples, map_to_cells, reference_samples, share_out
-from cosserat_fx.element_size import size_report
 from cosserat_fx.geometry import Geometry
-from cosserat_fx.initial_schema import Initial, Zone
+from cosserat_fx.initial.cell_samples import Samples, map_to_cells, reference_samples, share_out
+from cosserat_fx.initial.measured_field import read_field
+from cosserat_fx.initial.random_field import RandomField
 from cosserat_fx.material import AdmissibilityError
-from cosserat_fx.measured_field import read_field
-from cosserat_fx.random_field import RandomField
+from cosserat_fx.meshes.sizes import size_report
+from cosserat_fx.scenes.initial import Initial, Zone
 from cosserat_fx.typing import Array
 
 PARTS = 8

@@ -17,7 +17,7 @@ from annotated_types import MaxLen, MinLen
 from pydantic import BeforeValidator, Discriminator, Tag, model_validator
 
 from cosserat_fx.material import AdmissibilityError
-from cosserat_fx.schema import MAX_LIST, ROUNDING, Table, Unit, list_as_tuple, spell_key
+from cosserat_fx.scenes.schema import MAX_LIST, ROUNDING, Table, Unit, list_as_tuple, spell_key
 
 _Travels = Annotated[tuple[float, ...], BeforeValidator(list_as_tuple), MinLen(2), MaxLen(MAX_LIST), Unit("m")]
 _Values = Annotated[tuple[float, ...], BeforeValidator(list_as_tuple), MinLen(2), MaxLen(MAX_LIST)]

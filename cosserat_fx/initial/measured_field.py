@@ -8,7 +8,7 @@ import numpy as np
 from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
 from cosserat_fx._compat import MPI
-from cosserat_fx.meshfile import read_with_meshio
+from cosserat_fx.meshes.file import read_with_meshio
 from cosserat_fx.parallel import on_first_rank
 from cosserat_fx.typing import Array
 

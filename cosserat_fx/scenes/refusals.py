@@ -10,7 +10,7 @@ from pydantic import BeforeValidator, Tag, ValidationError
 from pydantic_core import ErrorDetails
 
 from cosserat_fx.material import AdmissibilityError
-from cosserat_fx.schema import Table, Unit, list_as_tuple, spell_key, unknown_key
+from cosserat_fx.scenes.schema import Table, Unit, list_as_tuple, spell_key, unknown_key
 
 _MAX_LINES: Final = 20
 """Number of faults told at once."""

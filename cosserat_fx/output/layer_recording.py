@@ -7,17 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from cosserat_fx.bands import band_metrics, friction_metrics
-from cosserat_fx.fields import FieldWriter
 from cosserat_fx.layer import Layer
-from cosserat_fx.observation import Columns, LayerObserver, Row
+from cosserat_fx.output.layer_bands import band_metrics, friction_metrics
+from cosserat_fx.output.layer_fields import FieldWriter
+from cosserat_fx.output.layer_observation import Columns, LayerObserver, Row
 from cosserat_fx.parallel import on_first_rank
 from cosserat_fx.results import HISTORY_COLUMNS, PROFILE_COLUMNS, RunFolder, read_run
 from cosserat_fx.stepping import Step
 
 
 class LayerRecording:
-    """Records a layer; see :class:`~cosserat_fx.recording.Recording`."""
+    """Records a layer; see :class:`~cosserat_fx.output.recording.Recording`."""
 
     columns = HISTORY_COLUMNS
     profile_columns = PROFILE_COLUMNS

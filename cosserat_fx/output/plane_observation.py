@@ -11,11 +11,11 @@ import numpy.typing as npt
 import ufl
 
 from cosserat_fx._compat import dolfinx, evaluate
-from cosserat_fx.observation import COUPLES, STRESSES, Columns, Row, largest
-from cosserat_fx.plane_fields import PlaneState
-from cosserat_fx.plane_schema import Column
+from cosserat_fx.output.layer_observation import COUPLES, STRESSES, Columns, Row, largest
+from cosserat_fx.output.plane_fields import PlaneState
 from cosserat_fx.problem import Problem
 from cosserat_fx.results import BOUNDARY_COLUMNS, PLANE_COLUMNS
+from cosserat_fx.scenes.plane import Column
 from cosserat_fx.stepping import Step
 from cosserat_fx.typing import Array
 from cosserat_fx.weakform import split

@@ -18,7 +18,7 @@ import numpy as np
 
 from cosserat_fx._compat import MPI, dolfinx, entity_nodes
 from cosserat_fx.geometry import Cell, Geometry, distribute
-from cosserat_fx.mesh_checks import Indices, MeshError, counter_clockwise, pair_keys, surface_groups, surface_sides
+from cosserat_fx.meshes.checks import Indices, MeshError, counter_clockwise, pair_keys, surface_groups, surface_sides
 from cosserat_fx.parallel import on_first_rank
 from cosserat_fx.typing import Array, IntArray
 

@@ -23,7 +23,7 @@ import numpy.typing as npt
 from scipy.interpolate import BSpline
 from scipy.optimize import minimize_scalar
 
-from cosserat_fx.plane_fields import PlaneState
+from cosserat_fx.output.plane_fields import PlaneState
 from cosserat_fx.typing import Array
 
 type Mask = npt.NDArray[np.bool_]

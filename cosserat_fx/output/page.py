@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
-from cosserat_fx.bands import wall_travel
+from cosserat_fx.output.layer_bands import wall_travel
 from cosserat_fx.results import Run
 from cosserat_fx.typing import Array
 

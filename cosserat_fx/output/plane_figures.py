@@ -15,8 +15,8 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import Colormap, Normalize
 from matplotlib.figure import Figure
 
-from cosserat_fx.page import GUIDE, LOOSE, STYLE, WIDTH, axis_range, figure
-from cosserat_fx.plane_fields import PlaneState, read_states
+from cosserat_fx.output.page import GUIDE, LOOSE, STYLE, WIDTH, axis_range, figure
+from cosserat_fx.output.plane_fields import PlaneState, read_states
 from cosserat_fx.results import PLANE_COLUMNS, Run, RunFolder
 from cosserat_fx.typing import Array
 

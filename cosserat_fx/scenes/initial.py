@@ -6,7 +6,7 @@ from annotated_types import MaxLen
 from pydantic import BeforeValidator, Field, model_validator
 
 from cosserat_fx.material import AdmissibilityError, Material
-from cosserat_fx.schema import File, Length, Position, Stress, Table, list_as_tuple
+from cosserat_fx.scenes.schema import File, Length, Position, Stress, Table, list_as_tuple
 
 MAX_ZONES: Final = 10_000
 """Number of zones that a scene may have."""

@@ -13,15 +13,15 @@ from pydantic_core import InitErrorDetails
 
 from cosserat_fx.elements import ElementName
 from cosserat_fx.extensions import registered
-from cosserat_fx.histories import (
+from cosserat_fx.material import AdmissibilityError
+from cosserat_fx.scenes.histories import (
     CoupleHistory,
     DisplacementHistory,
     PressureHistory,
     RotationHistory,
     TractionHistory,
 )
-from cosserat_fx.material import AdmissibilityError
-from cosserat_fx.schema import (
+from cosserat_fx.scenes.schema import (
     MAX_CELLS,
     Displacements,
     File,

@@ -1,9 +1,9 @@
 """What the tables of every scene have in common: their rules, and the tables that layers and plane bodies share.
 
-The tables of layers are in `layer_schema`, those of plane bodies in `plane_schema`, the initial state in
-`initial_schema`. Units are SI and stresses are positive in tension. Every table is frozen, takes no unknown key, and
-takes neither truth values nor strings for numbers. Conditions that pydantic cannot state raise `AdmissibilityError`
-with the key relative to the table that checks them; `cosserat_fx.refusals` turns all of them into one message.
+The tables of layers are in `layer`, those of plane bodies in `plane`, the initial state in `initial`. Units are SI and
+stresses are positive in tension. Every table is frozen, takes no unknown key, and takes neither truth values nor
+strings for numbers. Conditions that pydantic cannot state raise `AdmissibilityError` with the key relative to the table
+that checks them; `cosserat_fx.scenes.refusals` turns all of them into one message.
 """
 
 import json

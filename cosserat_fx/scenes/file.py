@@ -4,7 +4,7 @@ import tomllib
 from pathlib import Path
 from typing import Any, Final
 
-from cosserat_fx.refusals import SceneError, shown
+from cosserat_fx.scenes.refusals import SceneError, shown
 
 MAX_FILE_SIZE: Final = 10_000_000
 """Size above which a file is not taken for a scene, bytes."""

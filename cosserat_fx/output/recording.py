@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
-from cosserat_fx.observation import Row
+from cosserat_fx.output.layer_observation import Row
 from cosserat_fx.results import RunFolder
 from cosserat_fx.stepping import Step
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import basix
 
 from cosserat_fx.geometry import Geometry
-from cosserat_fx.heterogeneity import VoidRatio, initial_void_ratio
+from cosserat_fx.initial.void_ratio import VoidRatio, initial_void_ratio
 from cosserat_fx.scene import Scene
 
 

@@ -7,7 +7,7 @@ from typing import Literal, NamedTuple, Self
 from pydantic import Field, model_validator
 
 from cosserat_fx.material import AdmissibilityError
-from cosserat_fx.schema import (
+from cosserat_fx.scenes.schema import (
     MAX_CELLS,
     ROUNDING,
     Displacements,

@@ -6,18 +6,18 @@ from dataclasses import asdict
 from math import floor
 from typing import Any
 
-from cosserat_fx.observation import Row
+from cosserat_fx.output.layer_observation import Row
+from cosserat_fx.output.plane_bands import NoBandError, measure_band
+from cosserat_fx.output.plane_fields import PlaneFieldWriter, PlaneState
+from cosserat_fx.output.plane_observation import PlaneObserver
 from cosserat_fx.parallel import on_first_rank
 from cosserat_fx.plane import Plane
-from cosserat_fx.plane_bands import NoBandError, measure_band
-from cosserat_fx.plane_fields import PlaneFieldWriter, PlaneState
-from cosserat_fx.plane_observation import PlaneObserver
 from cosserat_fx.results import RunFolder
 from cosserat_fx.stepping import Step
 
 
 class PlaneRecording:
-    """Records a plane body; see :class:`~cosserat_fx.recording.Recording`."""
+    """Records a plane body; see :class:`~cosserat_fx.output.recording.Recording`."""
 
     profile_columns: tuple[str, ...] = ()
 

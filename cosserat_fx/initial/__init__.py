@@ -1,0 +1,1 @@
+"""The initial void ratio: from zones, files and random fields to the quadrature points."""

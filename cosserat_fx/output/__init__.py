@@ -1,0 +1,1 @@
+"""What a run shows of a body: rows, fields, band metrics and figures, by kind of body."""
