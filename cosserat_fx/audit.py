@@ -1,4 +1,7 @@
-"""Was it fair to leave an effect out? A run is watched for what it would have needed, and says so with a number."""
+"""Was it fair to leave an effect out? A run is watched for what it would have needed, and says so with a number.
+
+So is what was put in for the numerics' sake alone, the resistance to hourglass modes.
+"""
 
 from __future__ import annotations
 
@@ -22,12 +25,14 @@ FAIR_ROTATION = FAIR_SMALL_STRAIN / 2
 """Largest rotation of the material (rad) without objective rates: that of simple shear at the strain above."""
 FAIR_DENSITY_FACTOR = 0.02
 """Largest relative change of f_d by a void ratio that was frozen: limit states are as strong as f_d says."""
+FAIR_HOURGLASS_ENERGY = 0.05
+"""Largest energy of the resistance to hourglass modes over the internal work; in the demos it is below 0.1 %."""
 BAND_IN_CELLS = 4.0
 """A band of a classical continuum that is not wider than this has its thickness from the mesh."""
 
 
 class Audit:
-    """Watches a run for the effects that it leaves out; a run with all of them is not looked at."""
+    """Watches a run for the effects that it leaves out; the fields of a run with all of them are not looked at."""
 
     def __init__(self, body: Body) -> None:
         """Prepare to look at the deformation, where there is something to look for. Collective.
@@ -37,7 +42,7 @@ class Audit:
         """
         self._problem = problem = body.problem
         chosen = self._chosen = problem.numerics
-        self._shear_strain = self._rotation = self._density = 0.0
+        self._shear_strain = self._rotation = self._density = self._hourglass = 0.0
         self._gradient: dolfinx.fem.Expression | None = None
         if chosen.spin == "none" or not (chosen.void_ratio and chosen.polar):
             u, _ = split(problem.committed, polar=chosen.polar)
@@ -53,6 +58,8 @@ class Audit:
             row: of the history.
         """
         self._shear_strain = max(self._shear_strain, row["max_shear_strain"])
+        if self._chosen.hourglass and row["internal_work_J_per_m"] > 0:
+            self._hourglass = row["hourglass_energy_J_per_m"] / row["internal_work_J_per_m"]
         if self._chosen.spin == "none":
             (h11, h12), (h21, h22) = self._displacement_gradients()
             turned = np.abs(np.arctan2(h12 - h21, 2 + h11 + h22))
@@ -85,6 +92,11 @@ class Audit:
                 f"the void ratio was frozen, but the volume changed so much that it would have changed the density "
                 f"factor f_d, and strength with it, by up to {100 * self._density:.3g} %; freezing it is fair up to "
                 f"{100 * FAIR_DENSITY_FACTOR:g} %: set effects.void_ratio = true"
+            )
+        if self._hourglass > FAIR_HOURGLASS_ENERGY:
+            found.append(
+                f"the resistance to hourglass modes holds {100 * self._hourglass:.3g} % of the internal work; up to "
+                f'{100 * FAIR_HOURGLASS_ENERGY:g} % is fair: refine the mesh, or try solver.element = "Q2Q1"'
             )
         return [*found, *self._mesh_dependence(metrics)]
 

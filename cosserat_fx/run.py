@@ -17,6 +17,7 @@ from cosserat_fx.bodies import Body, build, recording_of
 from cosserat_fx.effects import Effect, effects
 from cosserat_fx.hypoplasticity import REASONS, Status
 from cosserat_fx.kernel_time import IN_KERNEL, kernel_shares
+from cosserat_fx.meshes.sizes import size_report
 from cosserat_fx.newton import PetscOption
 from cosserat_fx.output.layer_observation import looseness
 from cosserat_fx.output.recording import Recording
@@ -137,8 +138,8 @@ def _kernel_share(effect: Effect) -> str:
 
 
 def _sizes_line(body: Body) -> str:
-    sizes = body.problem.sizes
-    return ", ".join(f"{value} {name.replace('_', ' ')}" for name, value in sizes.items())
+    counts = [f"{value} {name.replace('_', ' ')}" for name, value in body.problem.sizes.items()]
+    return ", ".join([*counts, f"elements of {size_report(body.problem.geometry, body.scene.material.d50)}"])
 
 
 class Recorder:
@@ -156,6 +157,8 @@ class Recorder:
         self.ledger = Ledger(warnings=list(body.warnings))
         self._start = start
         self._body, self._problem, self._scene = body, body.problem, body.scene
+        element = size_report(body.problem.geometry, body.scene.material.d50)
+        self._element_sizes = {name: getattr(element, name) for name in ("smallest", "median", "largest")}
         self._audit = Audit(body)
         self._recording, self._folder = recording, folder
         self._comm = body.problem.comm
@@ -210,6 +213,7 @@ class Recorder:
             "scene": scene.as_dict(),
             "effects": [asdict(effect) for effect in self.effects],
             "sizes": problem.sizes,
+            "element_size_d50": self._element_sizes,
             "steps": ledger.steps,
             "newton_iterations": ledger.iterations,
             "cutbacks": ledger.cutbacks,

@@ -253,7 +253,7 @@ def test_turning_under_small_strain_is_told(angle: float, told: bool) -> None:
         part = it.problem.fields[field]
         it.problem.committed.x.array[part.dofs] = part.coordinates @ row
     watch = Audit(it)
-    watch.observe({"max_shear_strain": 0.0})
+    watch.observe({"max_shear_strain": 0.0, "internal_work_J_per_m": 0.0, "hourglass_energy_J_per_m": 0.0})
     start = f"finite strain was off, but the material turned by up to {angle:.3g} rad"
     assert [it.startswith(start) for it in watch.warnings({})] == [True] * told
 
@@ -322,3 +322,10 @@ def test_what_the_scene_page_says_about_the_audit() -> None:
         f"a band of up to {audit.BAND_IN_CELLS:g} cells",
     ):
         assert words in page
+
+
+@pytest.mark.parametrize(("energy", "told"), [(0.04, []), (0.06, ["holds 6 % of the internal work"])])
+def test_hourglass_modes_that_hold_much_of_the_work_are_told(energy: float, told: list[str]) -> None:
+    watch = Audit(body("plane"))
+    watch.observe({"max_shear_strain": 0.1, "internal_work_J_per_m": 1.0, "hourglass_energy_J_per_m": energy})
+    assert [word in warning for word, warning in zip(told, watch.warnings({}), strict=True)] == [True] * len(told)

@@ -14,6 +14,9 @@ RESOLVING = 4.0
 """Size of an element in mean grain diameters above which two of them no longer fit into a band."""
 _ROUNDING = 1e-9
 
+_EVEN = 1e-3
+"""Relative difference up to which sizes are told as one."""
+
 
 @dataclass(frozen=True)
 class SizeReport:
@@ -30,6 +33,11 @@ class SizeReport:
     largest: float
     warning: str | None = None
     error: str | None = None
+
+    def __str__(self) -> str:
+        """One size, or the range of sizes."""
+        even = self.largest <= self.smallest * (1 + _EVEN)
+        return f"{self.median:.3g} d50" if even else f"{self.smallest:.3g} to {self.largest:.3g} d50"
 
 
 def size_report(geometry: Geometry, d50: float) -> SizeReport:
