@@ -1,7 +1,7 @@
 """How accurate the biaxial test is on three meshes and with three step sizes, and what it is without polar terms.
 
 Runs demos/biaxial.toml and writes `tables.md` and the figure `biaxial_meshes.png`; docs/biaxial.md shows both. Runs
-serially, in about six minutes.
+serially, in about ten minutes.
 
     python benchmarks/biaxial_accuracy.py --out runs/biaxial_accuracy
 """

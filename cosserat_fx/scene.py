@@ -242,11 +242,6 @@ class PlaneScene(Scene):
         """Largest difference over the path of displacements prescribed in the same direction, m."""
         return largest_range(displacement_groups(self._histories, self.boundaries), self.leg_lengths)
 
-    @property
-    def size(self) -> float | None:
-        """Smaller one of width and height of a rectangle, m; None for a mesh, which alone knows."""
-        return min(self.geometry.width, self.geometry.height) if isinstance(self.geometry, RectangleGeometry) else None
-
 
 _KINDS: Final[Mapping[str, type[Scene]]] = {"layer": LayerScene, "rectangle": PlaneScene, "mesh": PlaneScene}
 

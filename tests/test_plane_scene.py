@@ -228,11 +228,6 @@ def test_rounding_does_not_keep_a_field_from_the_end_of_a_leg() -> None:
     assert scene.output.fields_at == (0.1, sum(scene.leg_lengths))
 
 
-def test_the_size_is_the_smaller_one_of_a_rectangle(mesh_file: Path) -> None:
-    assert parse_plane(RECTANGLE).size == 0.04
-    assert parse_plane(mesh_scene(mesh_file)).size is None
-
-
 # -- files -------------------------------------------------------------------------------------------------------------
 
 
@@ -246,6 +241,11 @@ def test_files_are_found_from_the_folder_of_the_scene(mesh_file: Path) -> None:
     assert scene.initial.field is not None
     assert scene.initial.field.file == str(mesh_file.parent / "field.csv")
     assert parse_scene(scene.as_dict()) == scene
+
+
+def test_a_boundary_whose_name_no_column_could_have_is_refused(mesh_file: Path) -> None:
+    with pytest.raises(SceneError, match="must be named by characters that can be printed"):
+        parse_scene(mesh_scene(mesh_file) | {"boundaries": {"to\np": {"u2": -0.001}}})
 
 
 def test_a_file_that_is_not_there_is_refused(tmp_path: Path) -> None:

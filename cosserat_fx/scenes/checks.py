@@ -31,6 +31,8 @@ def check_boundaries(boundaries: Mapping[str, Boundary], *, rectangle: bool) -> 
         key = f"boundaries.{spell_key(name)}"
         if rectangle and name not in RECTANGLE_BOUNDARIES:
             _refuse_boundary(key, boundary.model_dump(mode="json", exclude_defaults=True))
+        if not name.isprintable():
+            raise AdmissibilityError(key, name, "must be named by characters that can be printed, as columns are too")
         normal = RECTANGLE_BOUNDARIES[name] if rectangle else None
         if boundary.wall:
             _check_wall(f"{key}.wall", boundary.wall, normal)
