@@ -17,7 +17,7 @@ SCENES = ("layer_very_rough", "biaxial")
 
 @pytest.mark.parametrize("name", SCENES)
 def test_a_run_costs_about_what_was_expected(name: str, tmp_path: Path) -> None:
-    """Steps to a factor of two, seconds to an order of magnitude: other work on the machine counts in both."""
+    """Sizes exactly, steps to a factor of two; seconds are for benchmarks."""
     scene = load_scene(DEMOS / f"{name}.toml", NOTHING_TO_LOOK_AT)
     body = build(scene, MPI.COMM_SELF)
     cost = expected_cost(body)
@@ -26,14 +26,12 @@ def test_a_run_costs_about_what_was_expected(name: str, tmp_path: Path) -> None:
     sizes = body.problem.sizes
     assert cost.state_bytes == sizes["quadrature_points"] * sizes["bytes_per_quadrature_point"]
     assert cost.factor_bytes is not None
-    assert cost.factor_bytes >= 1e6  # MUMPS counts in megabytes
+    assert cost.factor_bytes >= 8 * cost.nonzeros - 5e5  # MUMPS rounds to megabytes
     run(scene, tmp_path / "run")
     summary = read_run(tmp_path / "run").summary
-    seconds = summary["seconds"]
-    solver = sum(seconds[phase] for phase in ("strains", "residual assembly", "Jacobian assembly", "Newton"))
     assert 0.5 < cost.steps / summary["steps"] < 2
-    assert 0.1 < cost.update_seconds / seconds["constitutive update"] < 10
-    assert 0.1 < cost.solver_seconds / solver < 10
+    assert cost.update_seconds > 0
+    assert cost.solver_seconds > 0
 
 
 @pytest.mark.parametrize("name", SCENES)
