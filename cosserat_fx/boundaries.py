@@ -13,7 +13,6 @@ from ufl.core.expr import Expr
 
 from cosserat_fx._compat import MPI, dolfinx
 from cosserat_fx.conditions import Condition, Field, Load, Prescribed, Work, fixed
-from cosserat_fx.extensions import BoundaryContext, MakesConditions
 from cosserat_fx.forms import ties
 from cosserat_fx.forms.couple import couple_work, rotational_resistance_work
 from cosserat_fx.forms.pressure import pressure_work
@@ -26,6 +25,7 @@ from cosserat_fx.scene import PlaneScene
 from cosserat_fx.scenes.histories import History
 from cosserat_fx.scenes.plane import Boundary, BoundaryWall, Point
 from cosserat_fx.scenes.refusals import SceneError
+from cosserat_fx.scenes.registry import BoundaryContext, MakesConditions
 from cosserat_fx.typing import Array
 
 TIE_STIFFNESS = 1e4

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from cosserat_fx import geometry
 from cosserat_fx._compat import MPI
 from cosserat_fx.conditions import Condition, Load, Prescribed, traction
-from cosserat_fx.effects import numerics
 from cosserat_fx.forms.walls import rolling_rotation
 from cosserat_fx.forms.weight import weight_work
 from cosserat_fx.initial.measured_field import FieldFileError
 from cosserat_fx.initial.state import void_ratio_of
 from cosserat_fx.meshes.file import MeshError
 from cosserat_fx.newton import PetscOption
+from cosserat_fx.numerics import numerics
 from cosserat_fx.path import Path, Waypoint
 from cosserat_fx.problem import Problem
 from cosserat_fx.scene import LayerScene

@@ -8,7 +8,6 @@ from pathlib import Path
 from cosserat_fx import geometry
 from cosserat_fx._compat import MPI
 from cosserat_fx.boundaries import BoundaryMaker, needs_loading
-from cosserat_fx.effects import numerics
 from cosserat_fx.geometry import Geometry, Grading
 from cosserat_fx.initial.measured_field import FieldFileError
 from cosserat_fx.initial.state import void_ratio_of
@@ -17,6 +16,7 @@ from cosserat_fx.meshes import file as meshfile
 from cosserat_fx.meshes.file import MeshError
 from cosserat_fx.meshes.sizes import size_report
 from cosserat_fx.newton import PetscOption
+from cosserat_fx.numerics import numerics
 from cosserat_fx.plane_path import PlanePath
 from cosserat_fx.problem import Problem
 from cosserat_fx.rigidity import rigid_motions

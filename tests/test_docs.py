@@ -25,7 +25,7 @@ from pydantic.fields import FieldInfo
 from scenes import RECTANGLE, change
 from typer.testing import CliRunner
 
-from cosserat_fx import audit, cli, effects
+from cosserat_fx import audit, cli, numerics
 from cosserat_fx.elements import DEFAULT, ELEMENTS
 from cosserat_fx.hypoplasticity import FIRST_FAILURE, REASONS, Status
 from cosserat_fx.material import NAMED_SETS, Material, MaterialError
@@ -393,7 +393,7 @@ def bracket(e_i0: float, e_d0: float, e_c0: float, phi_c: float, alpha: float, *
 
 def test_numbers_in_the_prose_of_the_scene_page() -> None:
     page = pages.words("docs/scene.md")
-    assert f"differ by more than {100 * effects.LARGE_DISPLACEMENT:g} % of the body's smallest extent" in page
+    assert f"differ by more than {100 * numerics.LARGE_DISPLACEMENT:g} % of the body's smallest extent" in page
     assert f"warns if shear strains exceeded {100 * audit.FAIR_SMALL_STRAIN:g} %" in page
     assert "By default 10 %, 1/3, 2/3 and all of a path of one leg, or the ends of the legs." in page
     assert default_profiles((Leg(3.0, 0.0),)) == pytest.approx((0.3, 1.0, 2.0, 3.0))

@@ -16,8 +16,9 @@ from cosserat_fx._compat import MPI
 from cosserat_fx.audit import Audit
 from cosserat_fx.bodies import Body, build
 from cosserat_fx.conditions import Field
-from cosserat_fx.effects import LARGE_DISPLACEMENT, Effect, effects
+from cosserat_fx.effects import Effect, effects
 from cosserat_fx.kernel_time import IN_KERNEL, NotCompiledError, kernel_shares, seconds_per_substep
+from cosserat_fx.numerics import LARGE_DISPLACEMENT
 from cosserat_fx.results import Run, read_run
 from cosserat_fx.run import run
 from cosserat_fx.scene import parse_scene

@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from pydantic import Field
 from scenes import ABSENT, RECTANGLE, Mutation, assert_scene_or_clear_refusal, change, mutations, to_toml
 
-from cosserat_fx import extensions
 from cosserat_fx.conditions import Condition, Work
 from cosserat_fx.extensions import BoundaryContext, register
 from cosserat_fx.material import Material
 from cosserat_fx.scene import PlaneScene, SceneError, load_scene, parse_scene
+from cosserat_fx.scenes import registry
 from cosserat_fx.scenes.histories import DisplacementHistory, HistoryTable
 from cosserat_fx.scenes.plane import MeshGeometry, RectangleGeometry
 from cosserat_fx.scenes.schema import Table
@@ -588,7 +588,7 @@ class Spring(Table):
 @pytest.fixture
 def spring(monkeypatch: pytest.MonkeyPatch) -> None:
     """The table known by the key "spring", for a while."""
-    monkeypatch.setattr(extensions, "_tables", {})
+    monkeypatch.setattr(registry, "_tables", {})
     register("spring", Spring)
 
 
@@ -652,8 +652,8 @@ def test_a_table_that_nobody_registered_is_unknown() -> None:
     ],
 )
 def test_a_table_that_does_not_fit_is_not_registered(name: str, table: Any, error: type[Exception]) -> None:
-    before = dict(extensions.registered())
+    before = dict(registry.registered())
     with pytest.raises(error):
         register(name, table)
-    assert dict(extensions.registered()) == before
+    assert dict(registry.registered()) == before
     register("spring", Spring)  # the same again changes nothing

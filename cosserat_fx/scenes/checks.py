@@ -8,11 +8,11 @@ from bisect import bisect
 from collections.abc import Mapping, Sequence
 from math import isfinite
 
-from cosserat_fx.extensions import IDENTIFIER
 from cosserat_fx.material import AdmissibilityError
 from cosserat_fx.results import BOUNDARY_COLUMNS, PLANE_COLUMNS
 from cosserat_fx.scenes.histories import Given, History, HistoryTable, Meaning
 from cosserat_fx.scenes.plane import RECTANGLE_BOUNDARIES, Boundary, BoundaryWall, Column, Point, RectangleGeometry
+from cosserat_fx.scenes.registry import IDENTIFIER
 from cosserat_fx.scenes.schema import ROUNDING, spell_key
 
 

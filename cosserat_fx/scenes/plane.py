@@ -12,7 +12,6 @@ from pydantic import BeforeValidator, ConfigDict, Field, ValidationError, create
 from pydantic_core import InitErrorDetails
 
 from cosserat_fx.elements import ElementName
-from cosserat_fx.extensions import registered
 from cosserat_fx.material import AdmissibilityError
 from cosserat_fx.scenes.histories import (
     CoupleHistory,
@@ -21,6 +20,7 @@ from cosserat_fx.scenes.histories import (
     RotationHistory,
     TractionHistory,
 )
+from cosserat_fx.scenes.registry import registered
 from cosserat_fx.scenes.schema import (
     MAX_CELLS,
     Displacements,
