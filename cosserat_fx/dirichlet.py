@@ -57,6 +57,10 @@ class PrescribedValues:
 
     Attributes:
         bcs: DOLFINx's conditions, one for each field that has any.
+        dofs: every unknown that is held, ghosts included.
+        values: what each of them is held at.
+        owned: which of them are this rank's own.
+        owned_dofs: this rank's own unknowns of each condition.
     """
 
     def __init__(self, geometry: Geometry, fields: dict[Field, FieldSpace], conditions: Sequence[Prescribed]) -> None:
@@ -68,7 +72,6 @@ class PrescribedValues:
             conditions: in the order of their precedence.
         """
         self.conditions = tuple(conditions)
-        self._fields = fields
         self._values = {name: dolfinx.fem.Function(field.space) for name, field in fields.items()}
         taken = {name: np.zeros(len(field.dofs), dtype=bool) for name, field in fields.items()}
         self._local: list[IntArray] = []
@@ -88,6 +91,12 @@ class PrescribedValues:
             if fields[name].space.mesh.comm.allreduce(len(local))
         ]
         self.dofs = np.concatenate([fields[name].dofs[local] for name, local in held.items()])
+        self.owned = np.concatenate([local < fields[name].owned for name, local in held.items()])
+        self.values: Array = np.zeros(len(self.dofs))
+        self.owned_dofs = [
+            fields[c.field].dofs[local[local < fields[c.field].owned]]
+            for c, local in zip(self.conditions, self._local, strict=True)
+        ]
         self._held = held
 
     def apply(self, travel: float) -> None:
@@ -95,16 +104,7 @@ class PrescribedValues:
         for condition, local, profile in zip(self.conditions, self._local, self._profiles, strict=True):
             value = condition.value(travel)
             self._values[condition.field].x.array[local] = value if profile is None else profile @ np.asarray(value)
-
-    @property
-    def values(self) -> Array:
-        """The value of each of ``dofs``."""
-        return np.concatenate([self._values[name].x.array[local] for name, local in self._held.items()])
-
-    def owned_dofs(self) -> list[IntArray]:
-        """This rank's own unknowns of each condition."""
-        owners = [(self._fields[c.field], local) for c, local in zip(self.conditions, self._local, strict=True)]
-        return [field.dofs[local[local < field.owned]] for field, local in owners]
+        self.values[:] = np.concatenate([self._values[name].x.array[local] for name, local in self._held.items()])
 
 
 def nodes_of(geometry: Geometry, field: FieldSpace, place: str | Point) -> IntArray:

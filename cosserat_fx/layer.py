@@ -10,16 +10,14 @@ from cosserat_fx._compat import MPI
 from cosserat_fx.conditions import Condition, Load, Prescribed, traction
 from cosserat_fx.forms.walls import rolling_rotation
 from cosserat_fx.forms.weight import weight_work
-from cosserat_fx.initial.measured_field import FieldFileError
 from cosserat_fx.initial.state import void_ratio_of
-from cosserat_fx.meshes.file import MeshError
+from cosserat_fx.meshes.sizes import SizeReport, size_report
 from cosserat_fx.newton import PetscOption
 from cosserat_fx.numerics import numerics
 from cosserat_fx.path import Path, Waypoint
 from cosserat_fx.problem import Problem
 from cosserat_fx.scene import LayerScene
 from cosserat_fx.scenes.layer import Wall
-from cosserat_fx.scenes.refusals import scene_error
 from cosserat_fx.stepping import Stepper
 from cosserat_fx.walk import Branch, step_control, stepper_of
 
@@ -37,6 +35,7 @@ class Layer:
         stepper: walks it along the path.
         path: wall displacements and normal stress over the travel.
         stations: travel along the path at which profiles are asked for (m).
+        element_sizes: against the grain diameter.
         warnings: what the user should know before it starts.
     """
 
@@ -45,6 +44,7 @@ class Layer:
     stepper: Stepper
     path: Path
     stations: tuple[float, ...]
+    element_sizes: SizeReport
     warnings: tuple[str, ...]
 
 
@@ -62,10 +62,7 @@ def build(scene: LayerScene, comm: MPI.Intracomm, options: dict[str, PetscOption
     path = layer_path(scene)
     body = geometry.layer(scene.geometry.height, scene.geometry.cells, comm)
     chosen = numerics(scene, scene.geometry.height, "interval")
-    try:
-        void_ratio = void_ratio_of(scene, body, chosen.degree)
-    except (FieldFileError, MeshError) as error:
-        raise scene_error(error) from error
+    void_ratio = void_ratio_of(scene, body, chosen.degree)
     problem = Problem(
         body,
         scene.material,
@@ -78,7 +75,7 @@ def build(scene: LayerScene, comm: MPI.Intracomm, options: dict[str, PetscOption
     stations = tuple(path.at(legs_before + station.leg, station.fraction) for station in scene.profile_stations)
     control = step_control(scene, scene.geometry.height, BRANCH)
     stepper = stepper_of(scene, problem, path.corners, stations, control, options)
-    return Layer(scene, problem, stepper, path, stations, void_ratio.warnings)
+    return Layer(scene, problem, stepper, path, stations, size_report(body, scene.material.d50), void_ratio.warnings)
 
 
 def layer_path(scene: LayerScene) -> Path:

@@ -9,12 +9,11 @@ from cosserat_fx import geometry
 from cosserat_fx._compat import MPI
 from cosserat_fx.boundaries import BoundaryMaker, needs_loading
 from cosserat_fx.geometry import Geometry, Grading
-from cosserat_fx.initial.measured_field import FieldFileError
 from cosserat_fx.initial.state import void_ratio_of
 from cosserat_fx.material import AdmissibilityError
 from cosserat_fx.meshes import file as meshfile
 from cosserat_fx.meshes.file import MeshError
-from cosserat_fx.meshes.sizes import size_report
+from cosserat_fx.meshes.sizes import SizeReport, size_report
 from cosserat_fx.newton import PetscOption
 from cosserat_fx.numerics import numerics
 from cosserat_fx.plane_path import PlanePath
@@ -40,6 +39,7 @@ class Plane:
         stepper: walks it along the path.
         path: histories over the travel.
         stations: travel along the path at which fields are asked for (m).
+        element_sizes: against the grain diameter.
         warnings: what the user should know before it starts.
     """
 
@@ -48,6 +48,7 @@ class Plane:
     stepper: Stepper
     path: PlanePath
     stations: tuple[float, ...]
+    element_sizes: SizeReport
     warnings: tuple[str, ...]
 
 
@@ -66,11 +67,9 @@ def build(scene: PlaneScene, comm: MPI.Intracomm, options: dict[str, PetscOption
         body = body_of(scene, comm)
         check_names(scene, body)
         chosen = numerics(scene, body.smallest_extent, body.mesh.topology.cell_name())
-        void_ratio = void_ratio_of(scene, body, chosen.degree)
     except AdmissibilityError as error:
         raise scene_error(error) from error
-    except (FieldFileError, MeshError) as error:
-        raise SceneError(f"initial.field.file: {error}") from error
+    void_ratio = void_ratio_of(scene, body, chosen.degree)
     sizes = size_report(body, scene.material.d50)
     if sizes.error:
         key = "cells" if isinstance(scene.geometry, RectangleGeometry) else "file"
@@ -99,7 +98,7 @@ def build(scene: PlaneScene, comm: MPI.Intracomm, options: dict[str, PetscOption
         warnings.append(
             "branches of equilibrium are not watched: of the direct solvers only MUMPS tells the tangent's determinant"
         )
-    return Plane(scene, problem, stepper, path, stations, tuple(warnings))
+    return Plane(scene, problem, stepper, path, stations, sizes, tuple(warnings))
 
 
 def body_of(scene: PlaneScene, comm: MPI.Intracomm) -> Geometry:

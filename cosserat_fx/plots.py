@@ -44,16 +44,16 @@ _PANELS = (
 )
 
 
-def draw_all(run_folder: Path, *, animation: bool = True) -> list[Path]:
+def draw_all(run_folder: Path) -> list[Path]:
     """Draw every figure which the run has data for into its folder ``figures``.
 
     Args:
         run_folder: the run's folder.
-        animation: whether to draw that as well, of a plane body.
 
     Returns:
         The files drawn: of a layer ``history.png``, ``profiles.png``, ``layer.png``, of a plane body ``history.png``,
-        ``state_01.png`` and so on, ``shear_strain.gif``; fewer where the run ended early.
+        ``state_01.png`` and so on, and ``shear_strain.gif`` unless its scene rules it out; fewer where the run ended
+        early.
 
     Raises:
         OutputError: the folder is not a run, or a figure cannot be written.
@@ -64,7 +64,8 @@ def draw_all(run_folder: Path, *, animation: bool = True) -> list[Path]:
     try:
         folder.mkdir(exist_ok=True)
         if run.kind != "layer":
-            return draw_plane(run, folder, animation=animation)
+            asked = run.summary["scene"].get("output", {})
+            return draw_plane(run, folder, animation=asked.get("animation", True))
         if run.history["step"].size:
             drawn.append(folder / "history.png")
             draw_history(run, drawn[-1])

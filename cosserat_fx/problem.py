@@ -21,7 +21,7 @@ from cosserat_fx.layout import layout
 from cosserat_fx.material import Material
 from cosserat_fx.state import QuadratureState
 from cosserat_fx.timing import Stopwatch
-from cosserat_fx.typing import Array
+from cosserat_fx.typing import Array, IntArray
 from cosserat_fx.weakform import Numerics, Stiffness
 
 
@@ -112,6 +112,7 @@ class Problem:
         self._increments = np.zeros((len(self.state.points), self.layout.n_inputs))
 
         self.fields = field_spaces(self.space, polar=numerics.polar)
+        self._nodes: dict[tuple[str, Field], IntArray] = {}
         self.prescribed = PrescribedValues(geometry, self.fields, [c for c in conditions if isinstance(c, Prescribed)])
         self.matrix = dolfinx.fem.petsc.create_matrix(self._form.jacobian)
         self.vector = dolfinx.fem.petsc.assemble_vector(self._form.residual)
@@ -132,7 +133,9 @@ class Problem:
     def boundary_mean(self, boundary: str, field: Field) -> float:
         """Mean of a committed field over the nodes of a boundary (m or rad)."""
         part = self.fields[field]
-        nodes = nodes_of(self.geometry, part, boundary)
+        if (boundary, field) not in self._nodes:
+            self._nodes[boundary, field] = nodes_of(self.geometry, part, boundary)
+        nodes = self._nodes[boundary, field]
         values = self.committed.x.array[part.dofs[nodes[nodes < part.owned]]]
         total, count = self.comm.allreduce(np.array([values.sum(), len(values)]))
         return float(total / count)
@@ -207,9 +210,9 @@ class Problem:
         """Assemble the out-of-balance forces; prescribed entries hold unknown minus prescribed value."""
         with self.stopwatch("residual assembly"):
             _assemble(b, self._form.residual)
-            dofs, values = self.prescribed.dofs, self.prescribed.values
-            mine = dofs < b.getLocalSize()
-            b.array_w[dofs[mine]] = self.unknown.x.array[dofs[mine]] - values[mine]
+            held = self.prescribed
+            dofs = held.dofs[held.owned]
+            b.array_w[dofs] = self.unknown.x.array[dofs] - held.values[held.owned]
 
     def assemble_jacobian(self, a: PETSc.Mat) -> None:
         """Assemble the derivative of the residual, with unit rows and zero columns at prescribed entries."""
@@ -239,7 +242,7 @@ class Problem:
         two conditions claim count for the first of them.
         """
         residual = self._assembled(self._form.residual)
-        sums = self.comm.allreduce(np.array([residual[dofs].sum() for dofs in self.prescribed.owned_dofs()]))
+        sums = self.comm.allreduce(np.array([residual[dofs].sum() for dofs in self.prescribed.owned_dofs]))
         keys = [(c.boundary, c.field) for c in self.prescribed.conditions]
         total: dict[tuple[str | Point, Field], float] = dict.fromkeys(keys, 0.0)
         for key, value in zip(keys, np.atleast_1d(sums).tolist(), strict=True):

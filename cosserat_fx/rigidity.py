@@ -34,7 +34,7 @@ def rigid_motions(problem: Problem, conditions: Sequence[Condition]) -> list[str
         at = {"u1": (1.0, 0.0, -y), "u2": (0.0, 1.0, x), "w": (0.0, 0.0, 1.0)}[name]
         for motion, values in enumerate(at):
             motions[field.dofs, motion] = values
-    owned = np.concatenate(problem.prescribed.owned_dofs() or [np.zeros(0, dtype=np.int32)])
+    owned = problem.prescribed.dofs[problem.prescribed.owned]
     held = problem.comm.allreduce(motions[owned].T @ motions[owned])
     if any(isinstance(condition, Work | Load) for condition in conditions):
         springs = problem.resistance(1e-6 * motions)

@@ -17,7 +17,6 @@ from cosserat_fx.bodies import Body, build, recording_of
 from cosserat_fx.effects import Effect, effects
 from cosserat_fx.hypoplasticity import REASONS, Status
 from cosserat_fx.kernel_time import IN_KERNEL, kernel_shares
-from cosserat_fx.meshes.sizes import size_report
 from cosserat_fx.newton import PetscOption
 from cosserat_fx.output.layer_observation import looseness
 from cosserat_fx.output.recording import Recording
@@ -25,7 +24,7 @@ from cosserat_fx.parallel import on_first_rank
 from cosserat_fx.plots import draw_all
 from cosserat_fx.progress import RunProgress
 from cosserat_fx.results import FORMAT, OutputError, RunFolder
-from cosserat_fx.scene import PlaneScene, Scene, SceneError
+from cosserat_fx.scene import Scene, SceneError
 from cosserat_fx.stepping import Step, SteppingError
 from cosserat_fx.versions import versions
 
@@ -139,7 +138,7 @@ def _kernel_share(effect: Effect) -> str:
 
 def _sizes_line(body: Body) -> str:
     counts = [f"{value} {name.replace('_', ' ')}" for name, value in body.problem.sizes.items()]
-    return ", ".join([*counts, f"elements of {size_report(body.problem.geometry, body.scene.material.d50)}"])
+    return ", ".join([*counts, f"elements of {body.element_sizes}"])
 
 
 class Recorder:
@@ -157,8 +156,6 @@ class Recorder:
         self.ledger = Ledger(warnings=list(body.warnings))
         self._start = start
         self._body, self._problem, self._scene = body, body.problem, body.scene
-        element = size_report(body.problem.geometry, body.scene.material.d50)
-        self._element_sizes = {name: getattr(element, name) for name in ("smallest", "median", "largest")}
         self._audit = Audit(body)
         self._recording, self._folder = recording, folder
         self._comm = body.problem.comm
@@ -191,9 +188,8 @@ class Recorder:
         status = "done" if self.ledger.reason is None else "stopped"
         self.summarise(status)
         if self._scene.output.figures and self.ledger.steps:
-            animation = isinstance(self._scene, PlaneScene) and self._scene.output.animation
             with self._problem.stopwatch("figures"):
-                on_first_rank(self._comm, lambda: draw_all(self._folder.path, animation=animation))
+                on_first_rank(self._comm, lambda: draw_all(self._folder.path))
             self.summarise(status)
 
     def summarise(self, status: str) -> None:
@@ -201,7 +197,7 @@ class Recorder:
         on_first_rank(self._comm, lambda: self._folder.write_summary(self._summary(status)))
 
     def _summary(self, status: str) -> dict[str, Any]:
-        problem, scene, ledger = self._problem, self._scene, self.ledger
+        problem, scene, ledger, sizes = self._problem, self._scene, self.ledger, self._body.element_sizes
         phases = problem.stopwatch.seconds | {"whole run": perf_counter() - self._start}
         return {
             "format": FORMAT,
@@ -213,7 +209,7 @@ class Recorder:
             "scene": scene.as_dict(),
             "effects": [asdict(effect) for effect in self.effects],
             "sizes": problem.sizes,
-            "element_size_d50": self._element_sizes,
+            "element_size_d50": {name: getattr(sizes, name) for name in ("smallest", "median", "largest")},
             "steps": ledger.steps,
             "newton_iterations": ledger.iterations,
             "cutbacks": ledger.cutbacks,

@@ -74,7 +74,9 @@ def test_all_figures_are_drawn(tmp_path: Path, kind: dict[str, Any]) -> None:
         assert picture(file).shape[1] == int(16.0 / 2.54 * 200)
     with Image.open(drawn[-1]) as frames:
         assert getattr(frames, "n_frames") == 7  # noqa: B009  (only pictures of some formats have it)
-    assert plots.draw_all(run.path, animation=False) == drawn[:-1]
+    scene = run.summary["scene"] | {"output": {"animation": False}}
+    RunFolder(run.path).write_summary(run.summary | {"scene": scene})
+    assert plots.draw_all(run.path) == drawn[:-1]
 
 
 def test_without_fields_there_is_a_history(tmp_path: Path) -> None:

@@ -48,11 +48,9 @@ def refusal(error: ValidationError, kind: str, kinds: Mapping[str, type[Table]])
     return SceneError("\n".join([*lines, *rest]))
 
 
-def scene_error(error: ValueError) -> SceneError:
+def scene_error(error: AdmissibilityError) -> SceneError:
     """Returns what stands behind a scene that turned out to be inadmissible later on, in the form of a refusal."""
-    if isinstance(error, AdmissibilityError):
-        return SceneError(line(error.key, error.value, error.allowed))
-    return SceneError(str(error))
+    return SceneError(line(error.key, error.value, error.allowed))
 
 
 def line(key: str, value: object, allowed: str) -> str:
