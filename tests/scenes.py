@@ -2,12 +2,13 @@
 
 import copy
 import json
+import pathlib
 from collections.abc import Mapping
 from typing import Any
 
 from hypothesis import strategies as st
 
-from cosserat_fx.scene import SceneError, parse_scene
+from cosserat_fx.scene import PlaneScene, SceneError, parse_scene
 
 ABSENT = object()
 RECTANGLE: dict[str, Any] = {
@@ -100,3 +101,14 @@ def assert_scene_or_clear_refusal(complete: dict[str, Any], chosen: list[Mutatio
         assert parse_scene(json.loads(json.dumps(scene.as_dict()))) == scene
     assert "pydantic" not in refusal
     assert all(": " in line for line in refusal.splitlines() if not line.startswith("... and "))
+
+
+def changed(changes: Mapping[str, object]) -> dict[str, Any]:
+    """The least scene of a rectangle with some keys changed."""
+    return change(RECTANGLE, changes)
+
+
+def parse_plane(tables: Mapping[str, object], folder: pathlib.Path = pathlib.Path()) -> PlaneScene:
+    scene = parse_scene(tables, folder)
+    assert isinstance(scene, PlaneScene)
+    return scene
