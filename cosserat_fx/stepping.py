@@ -67,6 +67,36 @@ class Step:
     passages: int = 0
 
 
+class Position(NamedTuple):
+    """Where a walk stands between two steps.
+
+    Attributes:
+        travel: along the path (m).
+        size: of the step to make next (m), stops permitting.
+        number: of the steps made.
+        stable: whether the equilibrium is a stable one, as far as the solver can tell.
+    """
+
+    travel: float
+    size: float
+    number: int = 0
+    stable: bool = True
+
+
+class Increment(NamedTuple):
+    """The increment of an accepted step.
+
+    Attributes:
+        size: of the step (m).
+        unknown: change of this rank's unknowns, ghosts included (m or rad).
+        strains: at this rank's own quadrature points, as :meth:`~cosserat_fx.problem.Problem.strain_increments` says.
+    """
+
+    size: float
+    unknown: Array
+    strains: Array
+
+
 class SteppingError(RuntimeError):
     """The walk cannot go on; the message gives cause and place."""
 
@@ -102,45 +132,62 @@ class Stepper:
             corners: travel at the start and wherever the direction of loading changes, ascending (m).
             stations: further travels to be hit exactly (m).
             control: step sizes.
+
+        The walk stands at ``position`` with ``last`` as its last increment, if the next step may follow that; both may
+        be set to go on from where another walk stood, with the problem's fields and state.
         """
         self.problem, self.solver, self.control = problem, solver, control
         self._corners = list(corners)
         self._stops = sorted({*corners[1:], *(s for s in stations if s > corners[0])})
-        self._last: _Increment | None = None
-        self._stable, self._unstable_ends = True, 0
+        self.position = Position(self._corners[0], control.first)
+        self.last: Increment | None = None
+        self._unstable_ends = 0
 
     def __iter__(self) -> Iterator[Step]:
-        """Make the steps one by one; each is committed when it is handed out.
+        """Make the steps that are left one by one; each is committed when it is handed out.
 
         Raises:
             SteppingError: the smallest step failed, or there were as many steps as allowed.
         """
-        travel, size, number = self._corners[0], self.control.first, 0
         for stop in self._stops:
-            while travel < stop:
-                if number == self.control.max_steps:
-                    raise SteppingError(f"the run reached its limit of {number} steps at a travel of {travel:.9g} m")
-                step, wish = self._step_from(travel, stop, size), size
-                iterations = cutbacks = 0
-                self._unstable_ends = 0
-                while not (solution := self._solve(travel, step)).converged:
-                    iterations += solution.iterations
-                    self.problem.roll_back()
-                    if step <= self.control.smallest:
-                        raise SteppingError(
-                            f"the step from {travel:.9g} m failed at the smallest size, {step:.3g} m: {solution.reason}"
-                        )
-                    cutbacks += 1
-                    step = wish = max(step / 2, self.control.smallest)
-                suggestion = self._remember(step)
-                travel = stop if travel + step >= stop - 1e-12 * abs(stop) else travel + step
-                self.problem.commit()
-                number += 1
-                iterations += solution.iterations
-                yield Step(number, travel, step, iterations, cutbacks, passages=int(self._unstable_ends > 0))
-                size = self._resize(wish, step, solution.iterations, cutbacks, suggestion)
-                if travel in self._corners:
-                    self._last, size = None, self.control.first
+            while self.position.travel < stop:
+                yield self._advance(stop)
+
+    def _advance(self, stop: float) -> Step:
+        """Make one step towards a stop, as large as it goes; where that fails, all is as it was before."""
+        last = self.last
+        try:
+            return self._step_towards(stop)
+        except BaseException:
+            self.last = last
+            self.problem.roll_back()
+            raise
+
+    def _step_towards(self, stop: float) -> Step:
+        travel, size, number, _ = self.position
+        if number == self.control.max_steps:
+            raise SteppingError(f"the run reached its limit of {number} steps at a travel of {travel:.9g} m")
+        step, wish = self._step_from(travel, stop, size), size
+        iterations = cutbacks = 0
+        self._unstable_ends = 0
+        while not (solution := self._solve(travel, step)).converged:
+            if step <= self.control.smallest:
+                raise SteppingError(
+                    f"the step from {travel:.9g} m failed at the smallest size, {step:.3g} m: {solution.reason}"
+                )
+            self.problem.roll_back()
+            iterations += solution.iterations
+            cutbacks += 1
+            step = wish = max(step / 2, self.control.smallest)
+        suggestion = self._remember(step)
+        travel = stop if travel + step >= stop - 1e-12 * abs(stop) else travel + step
+        self.problem.commit()
+        size = self._resize(wish, step, solution.iterations, cutbacks, suggestion)
+        if travel in self._corners:
+            self.last, size = None, self.control.first
+        self.position = Position(travel, size, number + 1, solution.stable)
+        iterations += solution.iterations
+        return Step(number + 1, travel, step, iterations, cutbacks, passages=int(self._unstable_ends > 0))
 
     def _step_from(self, travel: float, stop: float, size: float) -> float:
         """The step to make: exactly to the stop where it is near, and never leaving a crumb before it."""
@@ -155,14 +202,14 @@ class Stepper:
         if not solution.converged:
             return solution
         if self.control.branch == "primary":
-            self._unstable_ends, self._stable = int(self._stable and not solution.stable), solution.stable
+            self._unstable_ends = int(self.position.stable and not solution.stable)
             return solution
         if solution.stable:
             return solution
         self._unstable_ends += 1
         if self._unstable_ends <= self.control.halvings and step > self.control.smallest:
             return replace(solution, converged=False, reason="the branch of equilibria has become unstable")
-        self._last = None  # the jump to another branch says nothing about the next step
+        self.last = None  # the jump to another branch says nothing about the next step
         reason = "the branch of equilibria has become unstable, and no stable one was found beside it"
         left = branching.leave(self.problem, self.solver, step)
         return left.after(solution.iterations) if left else replace(solution, converged=False, reason=reason)
@@ -176,8 +223,8 @@ class Stepper:
         problem = self.problem
         problem.apply(travel + step)
         iterations = 0
-        if self._last is not None:
-            problem.unknown.x.array[:] += step / self._last.size * self._last.unknown
+        if self.last is not None:
+            problem.unknown.x.array[:] += step / self.last.size * self.last.unknown
             problem.impose()
             solution = self.solver.solve()
             if solution.converged:
@@ -191,9 +238,9 @@ class Stepper:
 
     def _remember(self, step: float) -> float:
         """Keep the increment just found for the next prediction; return the step size that its strains suggest."""
-        problem, control, last = self.problem, self.control, self._last
+        problem, control, last = self.problem, self.control, self.last
         strains = problem.strain_increments()
-        self._last = _Increment(step, problem.unknown.x.array - problem.committed.x.array, strains)
+        self.last = Increment(step, problem.unknown.x.array - problem.committed.x.array, strains)
         largest = problem.comm.allreduce(np.max(np.linalg.norm(strains, axis=1), initial=0.0), op=MPI.MAX)
         if largest < self.NO_STRAIN:
             return np.inf
@@ -220,11 +267,3 @@ class Stepper:
         growth = control.growth if iterations <= self.HARD_ITERATIONS else 0.7
         size = float(np.clip(suggestion, step / 2, growth * max(wish, step)))
         return min(max(size, control.smallest), control.largest)
-
-
-class _Increment(NamedTuple):
-    """An accepted increment: travel (m), nodal unknowns, strains at the quadrature points."""
-
-    size: float
-    unknown: Array
-    strains: Array
