@@ -67,6 +67,20 @@ class Audit:
         if not self._chosen.void_ratio:
             self._density = max(self._density, largest(self._problem, self._density_changes()))
 
+    def memento(self) -> dict[str, float]:
+        """What a checkpoint has to hold."""
+        return {
+            "shear_strain": self._shear_strain,
+            "rotation": self._rotation,
+            "density": self._density,
+            "hourglass": self._hourglass,
+        }
+
+    def restore(self, memento: Mapping[str, float]) -> None:
+        """Go on from what :meth:`memento` gave."""
+        self._shear_strain, self._rotation = memento["shear_strain"], memento["rotation"]
+        self._density, self._hourglass = memento["density"], memento["hourglass"]
+
     def warnings(self, metrics: Mapping[str, Any]) -> list[str]:
         """What the solution turned out to need, or nothing. Collective.
 

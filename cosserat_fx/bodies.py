@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from cosserat_fx import layer, plane
-from cosserat_fx._compat import MPI
+from cosserat_fx._compat import MPI, PETSc
 from cosserat_fx.newton import PetscOption
 from cosserat_fx.output.layer_recording import LayerRecording
 from cosserat_fx.output.plane_recording import PlaneRecording
 from cosserat_fx.output.recording import Recording
-from cosserat_fx.scene import LayerScene, PlaneScene, Scene
+from cosserat_fx.scene import LayerScene, PlaneScene, Scene, SceneError
 
 type Body = layer.Layer | plane.Plane
 
@@ -22,12 +22,27 @@ def build(scene: Scene, comm: MPI.Intracomm, options: dict[str, PetscOption] | N
         options: PETSc options (without prefix) that go before the scene's own.
 
     Raises:
-        SceneError: the scene does not fit its mesh, or a file that it names cannot be used.
+        SceneError: the scene does not fit its mesh, a file that it names cannot be used, the run would take more memory
+            than there is, or PETSc refuses an option.
     """
-    if isinstance(scene, LayerScene):
-        return layer.build(scene, comm, options)
-    assert isinstance(scene, PlaneScene)
-    return plane.build(scene, comm, options)
+    try:
+        if isinstance(scene, LayerScene):
+            return layer.build(scene, comm, options)
+        assert isinstance(scene, PlaneScene)
+        return plane.build(scene, comm, options)
+    except PETSc.Error as error:
+        raise refused_by_petsc(error) from error
+
+
+def refused_by_petsc(error: PETSc.Error) -> SceneError:
+    """The refusal of a scene with whose options PETSc cannot work."""
+    PETSc.Options()["options_left"] = "no"  # or it would list, at the end, those that it did not come to
+    return SceneError(f"solver.petsc: {told_by(error)}")
+
+
+def told_by(error: PETSc.Error) -> str:
+    """What PETSc says, without the trace of calls that it puts first."""
+    return f"PETSc says: {str(error).splitlines()[-1].partition('] ')[2]}"
 
 
 def recording_of(body: Body) -> Recording:

@@ -6,6 +6,7 @@ and everything computed so far on disk. Modules that need DOLFINx are imported b
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 import traceback
@@ -16,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 import typer
 from rich.console import Console
 
-from cosserat_fx.results import OutputError
+from cosserat_fx.results import OutputError, RunFolder
 from cosserat_fx.scene import Scene, SceneError, load_scene
 
 if TYPE_CHECKING:
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 
 BAD_INPUT = 2
 STOPPED = 3
+_BY_KEYBOARD = 130
+_CALLS_SHOWN = 6
 
 app = typer.Typer(
     help="Granular bodies against rough walls: hypoplastic Cosserat continua.",
@@ -47,22 +50,28 @@ def run(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="The run's folder.")],
     overrides: Overrides = [],  # noqa: B006  # typer's way to say "any number of"
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replaces an earlier run in the folder.")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Goes on with the scene's unfinished run there.")] = False,
 ) -> None:
     """Runs a scene. Options with a single dash, such as -snes_monitor, go to PETSc; works under mpirun."""
     options = _petsc_options(context.args)
+    if overwrite and resume:
+        _refuse("--resume: cannot be given along with --overwrite, which begins anew")
     loaded = _load(scene, overrides)
     _need_dolfinx()
     from cosserat_fx.run import run as run_scene
 
     console = _console()
     try:
-        ledger = run_scene(loaded, out, overwrite=overwrite, console=console, options=options)
+        ledger = run_scene(loaded, out, overwrite=overwrite, resume=resume, console=console, options=options)
     except (OutputError, SceneError) as error:
         _refuse(str(error))
     for warning in ledger.warnings:
         print(f"warning: {warning}", file=sys.stderr)
+    if ledger.answer:
+        console.print(f"answer: {ledger.answer}", highlight=False)
     if ledger.reason:
-        print(f"stopped early: {ledger.reason}. What was computed is in {out}.", file=sys.stderr)
+        further = "; --resume goes on from there" if RunFolder(out).checkpoint.exists() else ""
+        print(f"stopped early: {ledger.reason}. What was computed is in {out}{further}.", file=sys.stderr)
     else:
         console.print(
             f"done: {ledger.steps} steps, {ledger.iterations} Newton iterations, {ledger.cutbacks} cutbacks; see {out}",
@@ -91,10 +100,10 @@ def check(
 
     try:
         body = build(loaded, MPI.COMM_WORLD)
+        listed = kernel_shares(effects(body), body, compiling=measure)
+        cost = expected_cost(body)
     except SceneError as error:
         _refuse(str(error))
-    listed = kernel_shares(effects(body), body, compiling=measure)
-    cost = expected_cost(body)
     console = _console()
     console.print(describe(body, listed))
     console.print(str(cost), highlight=False)
@@ -131,16 +140,44 @@ def main() -> None:
     if ranks is None or ranks.size == 1:
         app()
         return
+    from cosserat_fx.parallel import FailedAloneError, RollCall
+
+    said = io.StringIO()
     with ExitStack() as silence:
+        roll = silence.enter_context(RollCall(ranks))
         if ranks.rank > 0:
-            nowhere = silence.enter_context(Path(os.devnull).open("w"))
-            silence.enter_context(redirect_stdout(nowhere))
-            silence.enter_context(redirect_stderr(nowhere))
+            silence.enter_context(redirect_stdout(silence.enter_context(Path(os.devnull).open("w"))))
+            silence.enter_context(redirect_stderr(said))
         try:
             app()
-        except Exception:
-            traceback.print_exc(file=sys.__stderr__)
-            ranks.Abort(1)  # the others would wait for this one for ever
+        except SystemExit as end:
+            if not end.code or roll.is_complete():
+                raise
+            status = end.code if isinstance(end.code, int) else 1
+            interrupted = f"cosserat-fx: interrupted on rank {ranks.rank}\n" if status == _BY_KEYBOARD else ""
+            _end_all(ranks, said.getvalue() + interrupted, status)
+        except Exception as error:
+            message = _internal_error(error, ranks.rank)
+            if isinstance(error, FailedAloneError) or not roll.is_complete():
+                _end_all(ranks, message, 1)
+            if ranks.rank == 0:
+                print(message, end="", file=sys.stderr)
+            sys.exit(1)
+
+
+def _end_all(ranks: MPI.Intracomm, message: str, status: int) -> NoReturn:
+    """End all ranks, which would wait for this one for ever, after it has told why."""
+    sys.stdout.flush()
+    print(message, end="", file=sys.__stderr__, flush=True)
+    ranks.Abort(status)
+    os._exit(status)  # MPICH's launcher ends the ranks, but not at once
+
+
+def _internal_error(error: Exception, rank: int) -> str:
+    """The last calls that led to an exception, and one line that says what and where it was."""
+    calls = "".join(traceback.format_exception(error, limit=-_CALLS_SHOWN))
+    cause = error.__cause__ or error
+    return f"{calls}cosserat-fx: internal error on rank {rank}: {type(cause).__name__}: {cause}\n"
 
 
 def _load(file: Path, overrides: list[str]) -> Scene:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from cosserat_fx._compat import PETSc
+from cosserat_fx.bodies import Body, refused_by_petsc
 from cosserat_fx.kernel_time import seconds_per_substep
-
-if TYPE_CHECKING:
-    from cosserat_fx.bodies import Body
+from cosserat_fx.memory import FACTORISING, Footprint, available_memory, footprint, in_words, sizes_of
 
 UPDATES_PER_STEP = 7
 ITERATIONS_PER_STEP = 5
@@ -32,6 +30,8 @@ class Cost:
         state_bytes: of the state at all quadrature points.
         nonzeros: of the Jacobian.
         factor_bytes: that the linear solver has taken for its factors; None where it does not tell.
+        expected: memory of the whole run.
+        available: memory that all ranks together may take (bytes).
     """
 
     steps: int
@@ -41,6 +41,8 @@ class Cost:
     state_bytes: int
     nonzeros: int
     factor_bytes: int | None
+    expected: Footprint
+    available: float
 
     def __str__(self) -> str:
         """A few lines for the user."""
@@ -48,7 +50,8 @@ class Cost:
         return (
             f"expected cost on {self.ranks} rank(s): about {self.steps} steps, {self.update_seconds:.2g} s of "
             f"constitutive update, {self.solver_seconds:.2g} s of assembly and solution\n"
-            f"memory: {self.state_bytes / 1e6:.3g} MB of state, {self.nonzeros} non-zeros{factors}"
+            f"memory: {self.state_bytes / 1e6:.3g} MB of state, {self.nonzeros} non-zeros{factors}; "
+            f"about {in_words(self.expected.total)} in all, of {in_words(self.available)}"
         )
 
 
@@ -57,21 +60,33 @@ def expected_cost(body: Body) -> Cost:
 
     Shear localises in a band of some ten grains, whose strain per step is bounded; the steps up to the peak come on
     top, once a leg. Assembly and solution are those of one step from the initial state.
+
+    Raises:
+        SceneError: PETSc cannot solve as the scene asks it to.
     """
     problem, control, path = body.problem, body.stepper.control, body.path
+    solver = body.stepper.solver.snes.getKSP().getPC().getType()
     band = min(BAND_IN_GRAINS * problem.material.d50, problem.geometry.smallest_extent)
     by_strain = path.length / min(control.strain * band, control.largest)
-    steps = min(int(STEPS_TO_PEAK * (len(path.corners) - 1) + by_strain), control.max_steps)
+    steps = int(min(STEPS_TO_PEAK * (len(path.corners) - 1) + by_strain, control.max_steps))
     points, ranks = problem.sizes["quadrature_points"], problem.comm.size
     updates = steps * UPDATES_PER_STEP * SUBSTEPS_PER_UPDATE * points / ranks
+    try:
+        iteration = _seconds_per_iteration(body)
+    except PETSc.Error as error:
+        raise refused_by_petsc(error) from error
     return Cost(
         steps=steps,
         ranks=ranks,
         update_seconds=updates * seconds_per_substep(body),
-        solver_seconds=steps * ITERATIONS_PER_STEP * _seconds_per_iteration(body),
+        solver_seconds=steps * ITERATIONS_PER_STEP * iteration,
         state_bytes=points * problem.state.bytes_per_point,
         nonzeros=int(problem.matrix.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]),
         factor_bytes=_factor_bytes(body),
+        expected=footprint(
+            body.scene, problem.numerics, sizes_of(problem.geometry), ranks=ranks, factorised=solver in FACTORISING
+        ),
+        available=available_memory(problem.comm),
     )
 
 

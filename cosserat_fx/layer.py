@@ -11,6 +11,7 @@ from cosserat_fx.conditions import Condition, Load, Prescribed, traction
 from cosserat_fx.forms.walls import rolling_rotation
 from cosserat_fx.forms.weight import weight_work
 from cosserat_fx.initial.state import void_ratio_of
+from cosserat_fx.memory import refuse_too_large
 from cosserat_fx.meshes.sizes import SizeReport, size_report
 from cosserat_fx.newton import PetscOption
 from cosserat_fx.numerics import numerics
@@ -57,8 +58,9 @@ def build(scene: LayerScene, comm: MPI.Intracomm, options: dict[str, PetscOption
         options: PETSc options (without prefix) that go before the scene's own.
 
     Raises:
-        SceneError: the file of a measured void ratio cannot be used.
+        SceneError: the file of a measured void ratio cannot be used, or the run would take more memory than there is.
     """
+    refuse_too_large(scene, comm, options)
     path = layer_path(scene)
     body = geometry.layer(scene.geometry.height, scene.geometry.cells, comm)
     chosen = numerics(scene, scene.geometry.height, "interval")
@@ -73,9 +75,18 @@ def build(scene: LayerScene, comm: MPI.Intracomm, options: dict[str, PetscOption
     )
     legs_before = len(path.corners) - 1 - len(scene.legs)
     stations = tuple(path.at(legs_before + station.leg, station.fraction) for station in scene.profile_stations)
-    control = step_control(scene, scene.geometry.height, BRANCH)
+    control = step_control(scene, _stiff_size(scene), BRANCH)
     stepper = stepper_of(scene, problem, path.corners, stations, control, options)
     return Layer(scene, problem, stepper, path, stations, size_report(body, scene.material.d50), void_ratio.warnings)
+
+
+def _stiff_size(scene: LayerScene) -> float:
+    """The height, or what takes its place where the rotation at the walls goes before the shear of the layer (m).
+
+    Grains that roll by a rotation w strain the layer at the wall by as much; a layer of this height is sheared by w/20.
+    """
+    rolling = max(wall.rolling_rotation_factor(scene.material.d50) for wall in (scene.walls.bottom, scene.walls.top))
+    return min(scene.geometry.height, 20.0 / rolling) if rolling else scene.geometry.height
 
 
 def layer_path(scene: LayerScene) -> Path:

@@ -9,11 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 from weakref import WeakMethod
 
 import numpy as np
 
 from cosserat_fx._compat import MPI, PETSc, dolfinx
+from cosserat_fx.diagnosis import imbalance
+from cosserat_fx.linear_failure import linear_failure
 from cosserat_fx.problem import Failure, Problem
 
 PetscOption = str | int | float | bool
@@ -21,6 +24,7 @@ PetscOption = str | int | float | bool
 _DEFAULTS: dict[str, PetscOption] = {
     "snes_type": "newtonls",
     "snes_linesearch_type": "bt",
+    "snes_linesearch_max_it": 10,
     "ksp_type": "preonly",
     "pc_type": "lu",
     "pc_factor_mat_solver_type": "mumps",
@@ -28,6 +32,10 @@ _DEFAULTS: dict[str, PetscOption] = {
 _MUMPS_DETERMINANT = 33
 _ADAPTING_ITERATIONS = 2
 _RECHECKS = 3
+_PATIENCE = 8
+"""Iterations over which the out-of-balance forces are to fall to a half, or Newton's method is going nowhere."""
+_ROUNDING = 1e-6
+"""Out-of-balance forces, relative to the internal ones, beyond which rounding is not suspected."""
 _PREFIX = "cosserat_"
 _set_here: set[str] = set()
 
@@ -35,6 +43,13 @@ _REASONS = {
     value: name.lower().replace("_", " ")
     for name, value in vars(PETSc.SNES.ConvergedReason).items()
     if isinstance(value, int) and value < 0
+}
+
+_WORDS = {
+    "diverged max it": "there was no equilibrium within the allowed number of Newton iterations",
+    "diverged dtol": "Newton's method came no closer to an equilibrium",
+    "diverged line search": "no part of a Newton step came closer to an equilibrium",
+    "diverged fnorm nan": "the out-of-balance forces are not finite",
 }
 
 
@@ -47,6 +62,7 @@ class Solution:
         iterations: Newton iterations.
         reason: why not, where it is not.
         residual: norm of the out-of-balance forces relative to that of the internal forces.
+        hopeless: whether a shorter step would end in the same way.
         stable: False where the tangent's determinant is negative, as it is with an odd number of negative eigenvalues.
     """
 
@@ -55,6 +71,7 @@ class Solution:
     reason: str
     residual: float
     stable: bool = True
+    hopeless: bool = False
 
     def after(self, iterations: int) -> Solution:
         """The same, with the iterations of earlier attempts counted in."""
@@ -67,6 +84,7 @@ class NewtonSolver:
     Attributes:
         snes: the PETSc object, for users who want to set more than options reach. Options have the prefix
             ``cosserat_`` in PETSc's database, where they override the defaults.
+        before_evaluation: called before every evaluation of the law, on every rank; what it raises ends the solution.
     """
 
     def __init__(
@@ -89,6 +107,8 @@ class NewtonSolver:
         self._tolerance = tolerance
         self._failure: Failure | None = None
         self._frozen = self._asked_for_determinant = False
+        self._norms: list[float] = []
+        self.before_evaluation: Callable[[], None] = lambda: None
         self._evaluated = problem.vector.duplicate()
         self._x = problem.vector.duplicate()
 
@@ -98,6 +118,7 @@ class NewtonSolver:
         self.snes.setFunction(_weakly(self._residual), problem.vector)
         self.snes.setJacobian(_weakly(self._jacobian), problem.matrix)
         self.snes.setTolerances(rtol=0.0, stol=0.0, max_it=max_iterations)
+        self.snes.setConvergenceTest(_weakly(self._test_convergence))
         self.snes.setFromOptions()
 
     def solve(self) -> Solution:
@@ -111,12 +132,16 @@ class NewtonSolver:
         for _ in range(_RECHECKS):
             self._failure = None
             with problem.stopwatch("Newton"):
-                self.snes.solve(None, self._x)
+                try:
+                    self.snes.solve(None, self._x)
+                except PETSc.Error as error:
+                    raise error.__cause__ or error from None  # what a callback raised comes wrapped by PETSc
             iterations += self.snes.getIterationNumber()
             residual = self.snes.getFunctionNorm() / scale
             reason = self.snes.getConvergedReason()
-            if reason < 0:
-                return Solution(False, iterations, str(self._failure or _REASONS[reason]), residual)
+            if reason < 0 and not self._is_rounding():
+                problem.set_unknown(self._x)
+                return self._failed(reason, iterations, residual)
             before = problem.state.substeps.copy()
             problem.set_unknown(self._x)
             if failure := problem.update(adapt=True):
@@ -136,7 +161,9 @@ class NewtonSolver:
             Whether the linear system could be solved.
         """
         problem = self._problem
-        if problem.update(adapt=True):
+        problem.state.restart_substeps()
+        self._failure = problem.update(adapt=True)
+        if self._failure:
             return False
         b = problem.vector
         problem.assemble_prediction(b)
@@ -152,6 +179,13 @@ class NewtonSolver:
         problem.impose()
         return True
 
+    def failed_prediction(self) -> Solution:
+        """Why the last prediction failed: the law at the start of the step, or the linear solver."""
+        if self._failure:
+            return Solution(False, 0, f"the law failed at the start of the step: {self._failure}", np.inf)
+        told, lasting = linear_failure(self.snes.getKSP())
+        return Solution(False, 0, told, np.inf, hopeless=lasting)
+
     def apply_inverse(self, field: dolfinx.fem.Function) -> bool:
         """Replace a field by the solution with it as right-hand side, with the tangent factorised last.
 
@@ -166,11 +200,78 @@ class NewtonSolver:
         field.x.scatter_forward()
         return bool(ksp.getConvergedReason() > 0)
 
+    def out_of_balance(self) -> float:
+        """Update the trial state at the unknown at hand; assemble the out-of-balance forces into the problem's vector.
+
+        Returns:
+            Their norm; infinite where the law cannot reach the state.
+        """
+        self.before_evaluation()
+        self._failure = self._problem.update(adapt=True)
+        if self._failure:
+            return np.inf
+        self._problem.assemble_residual(self._problem.vector)
+        return float(self._problem.vector.norm())
+
+    def factorise(self, stiffness: PETSc.Mat, factor: float) -> bool:
+        """Factorise the tangent of the last update plus a multiple of another matrix.
+
+        Returns:
+            False where it could not be factorised, or its determinant is negative.
+        """
+        a = self._problem.matrix
+        self._assemble_jacobian(a)
+        a.axpy(factor, stiffness, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        ksp = self.snes.getKSP()
+        ksp.setOperators(a)
+        ksp.setUp()
+        if ksp.getPC().getFailedReason():
+            return False
+        return self._determinant_is_positive()
+
     @property
     def sees_branches(self) -> bool:
         """Whether the tangent's determinant is known: MUMPS tells it, other solvers do not."""
         pc = self.snes.getKSP().getPC()
         return bool(pc.getType() == "lu" and pc.getFactorSolverType() == "mumps")
+
+    def _failed(self, reason: int, iterations: int, residual: float) -> Solution:
+        """What became of a solution that SNES gave up for a reason."""
+        reasons = PETSc.SNES.ConvergedReason
+        if reason == reasons.DIVERGED_LINEAR_SOLVE:
+            told, lasting = linear_failure(self.snes.getKSP())
+            return Solution(False, iterations, told, residual, hopeless=lasting)
+        if self._failure and (not iterations or reason == reasons.DIVERGED_LINE_SEARCH):
+            return Solution(False, iterations, str(self._failure), residual)
+        name = _REASONS[reason]
+        return Solution(False, iterations, f"{_WORDS.get(name, 'SNES gave up')} ({name})", residual)
+
+    def explanation(self) -> str:
+        """Where the forces are out of balance most at the unknown at hand, or why the law does not reach it."""
+        if np.isfinite(self.out_of_balance()):
+            return imbalance(self._problem)
+        return f"the law ends before: {self._failure}"
+
+    def _is_rounding(self) -> bool:
+        """Whether the out-of-balance forces at the last iterate are no more than rounding of the unknown makes.
+
+        Where the body has moved far and is stiff, the strain increment of a small step holds few digits. How few shows
+        in the forces' change when every unknown is changed in its last digit.
+        """
+        problem = self._problem
+        if self.snes.getFunctionNorm() > _ROUNDING * problem.force_scale():
+            return False
+        forces = []
+        for change in (0.0, np.finfo(float).eps):
+            problem.set_unknown(self._x)
+            array = problem.unknown.x.array
+            array *= 1 + change * np.where(np.arange(len(array)) % 2, 1, -1)
+            if not np.isfinite(self.out_of_balance()):
+                return False
+            forces.append(problem.vector.copy())
+        exact, changed = forces
+        changed.axpy(-1.0, exact)
+        return bool(exact.norm() <= 10 * changed.norm())
 
     def _is_stable(self, iterations: int) -> bool:
         """Whether the determinant of the tangent factorised last is positive, or unknown.
@@ -185,7 +286,13 @@ class NewtonSolver:
             self._assemble_jacobian(self._problem.matrix)
             ksp.setOperators(self._problem.matrix)
             ksp.setUp()
-        return bool(ksp.getPC().getFactorMatrix().getMumpsRinfog(12) >= 0)
+        return self._determinant_is_positive()
+
+    def _determinant_is_positive(self) -> bool:
+        """Whether the determinant of the matrix factorised last is not negative, or unknown."""
+        if not self.sees_branches:
+            return True
+        return bool(self.snes.getKSP().getPC().getFactorMatrix().getMumpsRinfog(12) >= 0)
 
     def _residual(self, snes: PETSc.SNES, x: PETSc.Vec, b: PETSc.Vec) -> None:
         """Residual callback; a state that cannot be reached has an infinite one."""
@@ -194,6 +301,26 @@ class NewtonSolver:
             self._problem.assemble_residual(b)
         else:
             b.set(np.inf)
+
+    def _test_convergence(
+        self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]
+    ) -> PETSc.SNES.ConvergedReason:
+        """Convergence callback: by the out-of-balance forces alone, given up where they no longer fall.
+
+        Args:
+            snes: the solver.
+            iteration: how many there were.
+            norms: of the unknown, of its last change and of the out-of-balance forces.
+        """
+        reasons, forces = PETSc.SNES.ConvergedReason, norms[2]
+        self._norms = [*(self._norms if iteration else []), forces]
+        if not np.isfinite(forces):
+            return reasons.DIVERGED_FNORM_NAN
+        if forces <= snes.getTolerances()[1]:
+            return reasons.CONVERGED_FNORM_ABS
+        if iteration > _PATIENCE and forces > self._norms[-1 - _PATIENCE] / 2:
+            return reasons.DIVERGED_DTOL
+        return reasons.ITERATING
 
     def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, a: PETSc.Mat, p: PETSc.Mat) -> None:
         """Jacobian callback; the tangent of the last residual serves where the point is the same."""
@@ -213,6 +340,7 @@ class NewtonSolver:
 
     def _evaluate(self, x: PETSc.Vec, *, adapt: bool) -> bool:
         """Update the trial state at a point; False, on every rank, where the law cannot."""
+        self.before_evaluation()
         self._problem.set_unknown(x)
         failure = self._problem.update(adapt=adapt)
         self._failure = failure or self._failure
@@ -234,13 +362,12 @@ def _set_options(options: Mapping[str, PetscOption]) -> None:
             _set_here.add(key)
 
 
-def _weakly(method: Callable[..., None]) -> Callable[..., None]:
+def _weakly(method: Callable[..., Any]) -> Callable[..., Any]:
     """A callback that does not keep its object alive: PETSc's references are out of the garbage collector's sight."""
     reference = WeakMethod(method)
 
-    def call(*arguments: object) -> None:
+    def call(*arguments: object) -> Any:
         bound = reference()
-        if bound is not None:
-            bound(*arguments)
+        return None if bound is None else bound(*arguments)
 
     return call

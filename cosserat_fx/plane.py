@@ -11,6 +11,7 @@ from cosserat_fx.boundaries import BoundaryMaker, needs_loading
 from cosserat_fx.geometry import Geometry, Grading
 from cosserat_fx.initial.state import void_ratio_of
 from cosserat_fx.material import AdmissibilityError
+from cosserat_fx.memory import refuse_too_large
 from cosserat_fx.meshes import file as meshfile
 from cosserat_fx.meshes.file import MeshError
 from cosserat_fx.meshes.sizes import SizeReport, size_report
@@ -61,10 +62,13 @@ def build(scene: PlaneScene, comm: MPI.Intracomm, options: dict[str, PetscOption
         options: PETSc options (without prefix) that go before the scene's own.
 
     Raises:
-        SceneError: the mesh cannot be used, does not have what the scene names, or is not held by its conditions.
+        SceneError: the mesh cannot be used, does not have what the scene names, or is not held by its conditions; or
+            the run would take more memory than there is.
     """
     try:
+        refuse_too_large(scene, comm, options)
         body = body_of(scene, comm)
+        refuse_too_large(scene, comm, options, body)
         check_names(scene, body)
         chosen = numerics(scene, body.smallest_extent, body.mesh.topology.cell_name())
     except AdmissibilityError as error:

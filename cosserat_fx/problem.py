@@ -6,7 +6,7 @@ grain diameter, so that every row of the residual is a force and one norm measur
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,6 +56,7 @@ class Problem:
         prescribed: displacements and rotations that are given.
         internal_work: done by the stresses (and the stabilisation) since the start (J/m2 in a layer, J/m in a plane).
         stopwatch: seconds by phase.
+        before_commit: called with the problem and its trial internal forces before every step that is committed.
     """
 
     def __init__(
@@ -117,7 +118,8 @@ class Problem:
         self.matrix = dolfinx.fem.petsc.create_matrix(self._form.jacobian)
         self.vector = dolfinx.fem.petsc.assemble_vector(self._form.residual)
         self.internal_work = 0.0
-        self._internal_forces = self._assembled(self._form.internal)
+        self._internal_forces = self.internal_forces()
+        self.before_commit: Callable[[Problem, Array], None] = lambda problem, internal: None
 
     # -- fields ----------------------------------------------------------------------------------------------------
 
@@ -151,6 +153,16 @@ class Problem:
             axis=1
         )
         return Stiffness(shear, shear * self.material.couple_over_shear_stiffness)
+
+    @property
+    def increments(self) -> Array:
+        """Strain, curvature (1/m) and spin increments of the last update at this rank's own points, (m, inputs)."""
+        return self._increments
+
+    def owned_values(self) -> Array:
+        """The committed unknown at this rank's own entries (m and rad)."""
+        values: Array = self.committed.x.array[: self.vector.getLocalSize()]
+        return values
 
     @property
     def sizes(self) -> dict[str, int]:
@@ -201,6 +213,13 @@ class Problem:
         places = [p for p in self.comm.allgather(place) if p is not None]
         return Failure(Status(gravest), places[0])
 
+    def largest_strain(self) -> float:
+        """Largest norm of the strain and curvature (times d50) increments of any point for the unknown at hand."""
+        with self.stopwatch("strains"):
+            evaluate(self._form.increments, self.geometry.mesh, self.state.cells, self._increments)
+        largest = np.max(np.linalg.norm(self.strain_increments(), axis=1), initial=0.0)
+        return float(self.comm.allreduce(largest, op=MPI.MAX))
+
     def strain_increments(self) -> Array:
         """Strain increments of the last update, and curvature increments times d50: (m, driven), dimensionless."""
         lengths = [1.0] * len(self.layout.strain) + [self.material.d50] * len(self.layout.curvature)
@@ -234,6 +253,24 @@ class Problem:
             dolfinx.fem.petsc.set_bc(b, self.prescribed.bcs, x0=self.unknown.x.petsc_vec)
 
     # -- forces ----------------------------------------------------------------------------------------------------
+
+    def internal_forces(self) -> Array:
+        """Nodal forces with which the trial stresses and the stabilisation resist, at this rank's own unknowns.
+
+        Couples over d50, as in the residual; per unit of area in a layer (Pa), per unit of thickness in a plane (N/m).
+        """
+        return self._assembled(self._form.internal)
+
+    def acting(self, internal: Array) -> Array:
+        """All that acts on the body at this rank's own unknowns: the loads and, where values are given, reactions.
+
+        Args:
+            internal: the :meth:`internal_forces`, which loads and reactions together balance where values are given.
+        """
+        acting = sum((self._assembled(form) for form in self._form.external.values()), np.zeros(len(internal)))
+        held = self.prescribed.dofs[self.prescribed.owned]
+        acting[held] = internal[held]
+        return acting
 
     def reactions(self) -> dict[tuple[str | Point, Field], float]:
         """Force or couple (the latter over d50) with which each prescribed condition acts on the body.
@@ -319,12 +356,23 @@ class Problem:
 
     def commit(self) -> None:
         """Accept the trial fields and state."""
-        forces = self._assembled(self._form.internal)
+        forces = self.internal_forces()
+        self.before_commit(self, forces)
         change = self.unknown.x.array - self.committed.x.array
         self.internal_work += self._work((forces + self._internal_forces) / 2, change)
         self._internal_forces = forces
         self.committed.x.array[:] = self.unknown.x.array
         self.state.commit()
+
+    def resume(self, internal_work: float) -> None:
+        """Go on from committed fields and state that were put back.
+
+        Args:
+            internal_work: up to there (J/m2 in a layer, J/m in the plane).
+        """
+        self.roll_back()
+        self.internal_work = internal_work
+        self._internal_forces = self.internal_forces()
 
     def roll_back(self) -> None:
         """Drop the trial fields and state."""

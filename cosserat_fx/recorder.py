@@ -1,11 +1,13 @@
-"""What a run writes down as it goes on: rows, summary and figures, with the totals, warnings and audits of the whole."""
+"""What a run writes down as it goes on: rows, summary and figures, with totals, warnings and audits of the whole."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from time import perf_counter
-from typing import Any
+from typing import Any, Self
 
+from cosserat_fx.answer.report import Answer
 from cosserat_fx.audit import Audit
 from cosserat_fx.bodies import Body
 from cosserat_fx.effects import effects
@@ -17,6 +19,7 @@ from cosserat_fx.parallel import on_first_rank
 from cosserat_fx.plots import draw_all
 from cosserat_fx.results import FORMAT, RunFolder
 from cosserat_fx.stepping import Step
+from cosserat_fx.timing import Stopwatch
 from cosserat_fx.versions import versions
 
 
@@ -28,6 +31,8 @@ class Ledger:
         steps, iterations, cutbacks, passages: totals.
         reason: why it stopped early, if it did.
         warnings: what the user should know.
+        resumed: after which steps the run went on from a checkpoint.
+        answer: the checks of the answer in one line; empty before the end.
     """
 
     steps: int = 0
@@ -36,24 +41,43 @@ class Ledger:
     passages: int = 0
     reason: str | None = None
     warnings: list[str] = field(default_factory=list)
+    resumed: list[int] = field(default_factory=list)
+    answer: str = ""
+
+    @classmethod
+    def of(cls, summary: Mapping[str, Any]) -> Self:
+        """What a run came to that is done.
+
+        Args:
+            summary: its ``run.json``.
+        """
+        return cls(
+            steps=summary["steps"],
+            iterations=summary["newton_iterations"],
+            cutbacks=summary["cutbacks"],
+            passages=summary["branch_passages"],
+            warnings=summary["warnings"],
+            resumed=summary["resumed_after_steps"],
+        )
 
 
 class Recorder:
     """Writes what a run's folder holds as the run goes on."""
 
-    def __init__(self, body: Body, recording: Recording, folder: RunFolder, start: float) -> None:
+    def __init__(self, body: Body, recording: Recording, folder: RunFolder, start: float, scene_digest: str) -> None:
         """Prepare to observe.
 
         Args:
             body: what is run.
             recording: what its kind shows.
-            folder: the run's folder, just created.
+            folder: the run's folder.
             start: when the run began, by ``perf_counter`` (s).
+            scene_digest: of what may not change while the run goes on.
         """
         self.ledger = Ledger(warnings=list(body.warnings))
-        self._start = start
+        self._start, self._digest = start, scene_digest
         self._body, self._problem, self._scene = body, body.problem, body.scene
-        self._audit = Audit(body)
+        self._audit, self._answer = Audit(body), Answer(body)
         self._recording, self._folder = recording, folder
         self._comm = body.problem.comm
         self._loose = False
@@ -62,6 +86,37 @@ class Recorder:
     def start(self) -> None:
         """Write the initial state."""
         self._recording.start(self._folder)
+
+    def memento(self) -> dict[str, Any]:
+        """What has to be remembered to go on after the last row, of types that JSON knows; read on rank 0."""
+        stopwatch = self._problem.stopwatch
+        return {
+            "ledger": asdict(self.ledger),
+            "loose": self._loose,
+            "seconds": dict(stopwatch.seconds) | {"whole run": perf_counter() - self._start},
+            "calls": dict(stopwatch.calls),
+            "recording": self._recording.memento(),
+            "audit": self._audit.memento(),
+            "answer": self._answer.memento(),
+        }
+
+    def resume(self, memento: dict[str, Any], complaints: list[str]) -> None:
+        """Go on from a checkpoint, instead of :meth:`start`.
+
+        Args:
+            memento: what :meth:`memento` gave.
+            complaints: what was wrong with a newer checkpoint.
+        """
+        self.ledger = Ledger(**memento["ledger"])
+        self.ledger.reason = None
+        self.ledger.resumed.append(self.ledger.steps)
+        self.ledger.warnings += [f"{it}; the run went on from the checkpoint before" for it in complaints]
+        self._loose = memento["loose"]
+        self._start -= memento["seconds"].pop("whole run")
+        self._problem.stopwatch.add(memento["seconds"], memento["calls"])
+        self._audit.restore(memento["audit"])
+        self._answer.restore(memento["answer"])
+        self._recording.resume(self._folder, memento["recording"])
 
     def record(self, step: Step) -> None:
         """Write an accepted step: its row, and what else its kind of body shows."""
@@ -72,22 +127,34 @@ class Recorder:
             ledger.cutbacks += step.cutbacks
             ledger.passages += step.passages
             self._audit.observe(row)
+            self._answer.observe(step)
             on_first_rank(self._comm, lambda: self._folder.append_history(row))
             self._watch_looseness(step)
             self._tell_passage(step)
             self._recording.record(step)
 
+    @property
+    def stopwatch(self) -> Stopwatch:
+        """That of the problem."""
+        return self._problem.stopwatch
+
+    def warn_once(self, warning: str) -> None:
+        """Add a warning unless it was given before."""
+        if warning not in self.ledger.warnings:
+            self.ledger.warnings.append(warning)
+
     def finish(self) -> None:
         """Write the summary and draw the figures."""
         if self.ledger.steps:
             self._recording.finish()
-        self.ledger.warnings += self._audit.warnings(self._recording.entries())
-        status = "done" if self.ledger.reason is None else "stopped"
-        self.summarise(status)
+            self._answer.check()
+            self.ledger.answer = self._answer.line()
+        self.ledger.warnings += [*self._audit.warnings(self._recording.entries()), *self._answer.warnings()]
         if self._scene.output.figures and self.ledger.steps:
+            self.summarise("running")
             with self._problem.stopwatch("figures"):
                 on_first_rank(self._comm, lambda: draw_all(self._folder.path))
-            self.summarise(status)
+        self.summarise("done" if self.ledger.reason is None else "stopped")
 
     def summarise(self, status: str) -> None:
         """Write run.json, on rank 0, which needs no other rank for it."""
@@ -104,6 +171,8 @@ class Recorder:
             "versions": versions(),
             "ranks": self._comm.size,
             "scene": scene.as_dict(),
+            "scene_sha256": self._digest,
+            "resumed_after_steps": ledger.resumed,
             "effects": [asdict(effect) for effect in self.effects],
             "sizes": problem.sizes,
             "element_size_d50": {name: getattr(sizes, name) for name in ("smallest", "median", "largest")},
@@ -114,6 +183,7 @@ class Recorder:
             "seconds": {name: round(seconds, 6) for name, seconds in sorted(phases.items())},
             "calls": dict(sorted(problem.stopwatch.calls.items())),
             "warnings": ledger.warnings,
+            "answer": self._answer.entries(),
             **self._recording.entries(),
         }
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from time import perf_counter
 
@@ -11,13 +12,16 @@ from rich.table import Table
 
 from cosserat_fx._compat import MPI, PETSc
 from cosserat_fx.bodies import Body, build, recording_of
+from cosserat_fx.checkpoint import Checkpoints
 from cosserat_fx.effects import Effect
+from cosserat_fx.interruption import InterruptedRunError, Interruption
 from cosserat_fx.kernel_time import IN_KERNEL
 from cosserat_fx.newton import PetscOption
-from cosserat_fx.parallel import on_first_rank
+from cosserat_fx.output.lock import FolderLock
+from cosserat_fx.parallel import FailedAloneError, RollCall, on_first_rank
 from cosserat_fx.progress import RunProgress
 from cosserat_fx.recorder import Ledger, Recorder
-from cosserat_fx.results import OutputError, RunFolder
+from cosserat_fx.results import OutputError, RunFolder, read_run
 from cosserat_fx.scene import Scene, SceneError
 from cosserat_fx.stepping import SteppingError
 
@@ -27,6 +31,7 @@ def run(
     out: Path,
     *,
     overwrite: bool = False,
+    resume: bool = False,
     comm: MPI.Intracomm = MPI.COMM_WORLD,
     console: Console | None = None,
     options: Mapping[str, PetscOption] | None = None,
@@ -37,6 +42,7 @@ def run(
         scene: the validated scene.
         out: the run's folder.
         overwrite: whether an earlier run there may be replaced.
+        resume: whether an unfinished run of the scene there is to be gone on with; without one the run begins.
         comm: the ranks.
         console: where progress goes; silence by default.
         options: PETSc options (without prefix).
@@ -45,38 +51,87 @@ def run(
         The totals; ``reason`` tells whether and why the run stopped early.
 
     Raises:
-        OutputError: the folder cannot be made.
+        OutputError: the folder cannot be made, or what is in it cannot be gone on with.
         SceneError: PETSc refuses an option.
+        FailedAloneError: this rank failed and others did not.
     """
     start = perf_counter()
     console = console if console is not None and comm.rank == 0 else Console(quiet=True)
-    on_first_rank(comm, lambda: RunFolder.check(out, overwrite))
+    on_first_rank(comm, lambda: RunFolder.check(out, overwrite or resume))
     try:
         body = build(scene, comm, dict(options or {}))
     except PETSc.Error as error:
         raise SceneError(f"solver.petsc: {_told_by(error)}") from error
     recording = recording_of(body)
-    folder = on_first_rank(comm, lambda: RunFolder.create(out, overwrite, recording.columns, recording.profile_columns))
-    recorder = Recorder(body, recording, folder, start)
-    recorder.summarise("running")
-    console.print(describe(body, recorder.effects))
-    body.problem.stopwatch.seconds["set-up"] = perf_counter() - start
+    with _locked(out, comm):
+        folder = RunFolder(out, recording.columns, recording.profile_columns)
+        checkpoints = Checkpoints(folder, scene, body.stepper)
+        recorder = Recorder(body, recording, folder, start, checkpoints.scene_digest)
+        if resume and on_first_rank(comm, lambda: folder.is_done(checkpoints.scene_digest)):
+            return on_first_rank(comm, lambda: Ledger.of(read_run(out).summary))
+        going_on = checkpoints.load() if resume else None
+        if going_on is None:
+            on_first_rank(comm, lambda: folder.clear(overwrite or resume))
+            recorder.summarise("running")
+            recorder.start()
+        else:
+            recorder.resume(*going_on)
+            recorder.summarise("running")
+            console.print(f"going on after step {recorder.ledger.steps}", highlight=False)
+        console.print(describe(body, recorder.effects))
+        body.problem.stopwatch.seconds["set-up"] += perf_counter() - start
+        with Interruption(comm) as interruption, RollCall(comm) as roll:
+            body.stepper.solver.before_evaluation = interruption.check
+            _walk(body, recorder, checkpoints, console, roll)
+    return recorder.ledger
+
+
+@contextmanager
+def _locked(out: Path, comm: MPI.Intracomm) -> Iterator[None]:
+    """Keep other runs out of the folder."""
+    lock = FolderLock(out)
+    on_first_rank(comm, lock.acquire)
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+def _walk(body: Body, recorder: Recorder, checkpoints: Checkpoints, console: Console, roll: RollCall) -> None:
+    """Walk to the end or as far as it goes, and leave the folder so that nothing of it is lost."""
     ledger = recorder.ledger
     try:
-        recorder.start()
         with RunProgress(console, body.path.length) as progress:
             for step in body.stepper:
                 recorder.record(step)
                 progress.report(step)
-    except (SteppingError, OutputError) as failure:
-        ledger.reason = str(failure)
-    except PETSc.Error as error:
-        ledger.reason = _told_by(error)
+                if checkpoints.due():
+                    _save(checkpoints, recorder)
+    except (OutputError, SteppingError, InterruptedRunError, PETSc.Error) as error:
+        if not roll.is_complete():
+            raise FailedAloneError(str(error)) from error
+        ledger.reason = _told_by(error) if isinstance(error, PETSc.Error) else str(error)
+        if not isinstance(error, OutputError):
+            _save(checkpoints, recorder)
     try:
         recorder.finish()
+        if ledger.reason is None:
+            checkpoints.remove()
     except OutputError as failure:
         ledger.reason = ledger.reason or str(failure)
-    return ledger
+        with suppress(OutputError):
+            recorder.summarise("stopped")
+
+
+def _save(checkpoints: Checkpoints, recorder: Recorder) -> None:
+    """Write a checkpoint; a run without one is worth more than no run, so that it only warns where that fails."""
+    if not checkpoints.wanted:
+        return
+    with recorder.stopwatch("checkpoints"):
+        try:
+            checkpoints.save(recorder.memento())
+        except OutputError as failure:
+            recorder.warn_once(f"no checkpoint could be written: {failure}")
 
 
 def _told_by(error: PETSc.Error) -> str:

@@ -17,6 +17,7 @@ from cosserat_fx.material import AdmissibilityError, Material
 from cosserat_fx.scenes.checks import (
     check_boundaries,
     check_columns,
+    check_number,
     check_path_is_finite,
     check_points,
     check_rotations_exist,
@@ -24,7 +25,7 @@ from cosserat_fx.scenes.checks import (
     displacement_groups,
     reached,
 )
-from cosserat_fx.scenes.file import apply_override, read_tables
+from cosserat_fx.scenes.file import apply_override, check_depth, read_tables
 from cosserat_fx.scenes.histories import (
     Given,
     check_motions_start_at_rest,
@@ -181,6 +182,11 @@ class PlaneScene(Scene):
     output: PlaneOutput = PlaneOutput()
 
     @model_validator(mode="after")
+    def _check_number(self) -> Self:
+        check_number(boundaries=self.boundaries, points=self.points)
+        return self
+
+    @model_validator(mode="after")
     def _check_rectangle(self) -> Self:
         if isinstance(self.geometry, RectangleGeometry):
             self.initial.check_zones_of_rectangle(self.geometry.width, self.geometry.height)
@@ -273,6 +279,7 @@ def parse_scene(tables: Mapping[str, object], folder: Path = Path()) -> Scene:
     Raises:
         SceneError: they do not describe an admissible scene.
     """
+    check_depth(tables)
     kind = _kind(tables.get("geometry"))
     if not isinstance(kind, str) or kind not in _KINDS:
         raise SceneError(line("geometry.kind", kind, f"must be {either([shown(it) for it in _KINDS])}"))

@@ -6,7 +6,6 @@ writes straight into the arrays of these functions. The committed state changes 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import basix
@@ -14,9 +13,10 @@ import basix.ufl
 import numpy as np
 import ufl
 
-from cosserat_fx._compat import MPI, dolfinx
+from cosserat_fx._compat import dolfinx
 from cosserat_fx.layout import Layout
 from cosserat_fx.material import Material
+from cosserat_fx.parallel import in_turn
 from cosserat_fx.typing import Array
 from cosserat_fx.update import build_update, compile_update
 
@@ -75,7 +75,7 @@ class QuadratureState:
         self.tolerance = tolerance
         self._constants = material.kernel_parameters()
         self._update = build_update(layout, spin=spin, void_ratio=void_ratio)
-        _compile_in_turn(mesh.comm, lambda: compile_update(self._update, layout, self._constants))
+        in_turn(mesh.comm, lambda: compile_update(self._update, layout, self._constants))
 
         cell = mesh.basix_cell()
         record = point_record(layout, void_ratio=void_ratio)
@@ -179,12 +179,3 @@ def _quadrature_function(
     """A function with one tensor of the given shape at every quadrature point."""
     element = basix.ufl.quadrature_element(mesh.basix_cell(), value_shape=shape, degree=degree)
     return dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, element), name=name)
-
-
-def _compile_in_turn(comm: MPI.Intracomm, compile_kernel: Callable[[], None]) -> None:
-    """Compile on the first rank, then load on the others, so that they do not race for the cache on disk."""
-    if comm.rank == 0:
-        compile_kernel()
-    comm.barrier()
-    if comm.rank != 0:
-        compile_kernel()

@@ -12,6 +12,7 @@ from cosserat_fx import branching
 from cosserat_fx._compat import MPI
 from cosserat_fx.newton import NewtonSolver, Solution
 from cosserat_fx.problem import Problem
+from cosserat_fx.relaxation import relax
 from cosserat_fx.typing import Array
 
 
@@ -22,7 +23,9 @@ class StepControl:
     Attributes:
         first: the first step, and the one after every corner of the path.
         largest: no step is larger.
-        smallest: a step that fails at this size ends the run; 0 stands for a ten-thousandth of the first.
+        smallest: a step that fails at this size ends the run; 0 stands for a ten-thousandth of the first step or of the
+            stiff travel, whichever is less.
+        stiff: the travel in which the body's stiff response shows; 0 stands for the first step.
         halvings: how often a step that ends on an unstable branch is halved before it is pushed off the branch.
         branch: "stable" leaves unstable branches of equilibria, "primary" goes on along them.
         tolerance: aimed change of the strain rate over a step, relative to the strain rate.
@@ -34,6 +37,7 @@ class StepControl:
     first: float
     largest: float = float("inf")
     smallest: float = 0.0
+    stiff: float = 0.0
     halvings: int = 3
     branch: Literal["stable", "primary"] = "stable"
     tolerance: float = 0.12
@@ -42,8 +46,9 @@ class StepControl:
     max_steps: int = 100_000
 
     def __post_init__(self) -> None:
-        """Fill in the smallest step."""
-        object.__setattr__(self, "smallest", self.smallest or 1e-4 * self.first)
+        """Fill in the stiff travel and the smallest step."""
+        object.__setattr__(self, "stiff", self.stiff or self.first)
+        object.__setattr__(self, "smallest", self.smallest or 1e-4 * min(self.first, self.stiff))
 
 
 @dataclass(frozen=True)
@@ -113,6 +118,12 @@ class Stepper:
     """
 
     HARD_ITERATIONS = 8
+    MOTION = 0.6
+    """Part of the last step over which the body is let move to another equilibrium."""
+    TRIALS = 2
+    """Attempts at a first step before it is cut to the stiff travel."""
+    LARGEST_STRAIN = 1.0
+    """Increment of a point in the linear answer to a step beyond which the step is not attempted."""
     NO_STRAIN = 1e-10
     """A body that moves as a whole strains by rounding, which says nothing about the next step."""
 
@@ -167,18 +178,22 @@ class Stepper:
         travel, size, number, _ = self.position
         if number == self.control.max_steps:
             raise SteppingError(f"the run reached its limit of {number} steps at a travel of {travel:.9g} m")
+        size = min(size, self.control.largest)
         step, wish = self._step_from(travel, stop, size), size
         iterations = cutbacks = 0
         self._unstable_ends = 0
         while not (solution := self._solve(travel, step)).converged:
+            if solution.hopeless:
+                raise SteppingError(f"the step from {travel:.9g} m failed: {solution.reason}")
             if step <= self.control.smallest:
                 raise SteppingError(
-                    f"the step from {travel:.9g} m failed at the smallest size, {step:.3g} m: {solution.reason}"
+                    f"the step from {travel:.9g} m failed at the smallest size, {step:.3g} m: {solution.reason}; "
+                    + self.solver.explanation()
                 )
             self.problem.roll_back()
             iterations += solution.iterations
             cutbacks += 1
-            step = wish = max(step / 2, self.control.smallest)
+            step = wish = self._cut(step, cutbacks)
         suggestion = self._remember(step)
         travel = stop if travel + step >= stop - 1e-12 * abs(stop) else travel + step
         self.problem.commit()
@@ -195,6 +210,13 @@ class Stepper:
         if left <= size * (1 + 1e-9):
             return left
         return left / 2 if left < 2 * size else size
+
+    def _cut(self, step: float, cutbacks: int) -> float:
+        """The step to try after one that failed; a first step that was far too long is not cut little by little."""
+        shorter = step / 2
+        if self.last is None and cutbacks >= self.TRIALS:
+            shorter = min(shorter, self.control.stiff)
+        return max(shorter, self.control.smallest)
 
     def _solve(self, travel: float, step: float) -> Solution:
         """One attempt at a step; an unstable equilibrium is no solution unless the primary branch is asked for."""
@@ -218,7 +240,8 @@ class Stepper:
         """Predict and solve one step; where going on as before leads nowhere, start from the law's linear part.
 
         The law answers to the direction of the strain rate, however small the step: a part of the body that begins to
-        unload needs another start, not a smaller step.
+        unload needs another start, not a smaller step. And where there is no equilibrium near by, as where a band
+        releases more than the walls take up, the body is let move to one.
         """
         problem = self.problem
         problem.apply(travel + step)
@@ -231,10 +254,24 @@ class Stepper:
                 return solution
             iterations = solution.iterations
             problem.roll_back()
+            if solution.hopeless:
+                return solution
         if not self.solver.predict():
             return Solution(False, iterations, "the law or the linear solver failed at the start of the step", np.inf)
-        solution = self.solver.solve()
-        return solution.after(iterations)
+        if problem.largest_strain() > self.LARGEST_STRAIN and step > self.control.smallest:
+            return Solution(
+                False, iterations, f"a point would be strained by more than {self.LARGEST_STRAIN:g}", np.inf
+            )
+        solution = self.solver.solve().after(iterations)
+        if solution.converged or solution.hopeless or step > self._longest_motion():
+            return solution
+        moved = relax(problem, self.solver, self.control.strain)
+        return moved.after(solution.iterations) if moved else solution
+
+    def _longest_motion(self) -> float:
+        """Longest step over which the body is let move to an equilibrium; a longer one is cut first."""
+        followed = self.last.size * self.MOTION if self.last is not None else 0.0
+        return max(followed, self.control.stiff)
 
     def _remember(self, step: float) -> float:
         """Keep the increment just found for the next prediction; return the step size that its strains suggest."""

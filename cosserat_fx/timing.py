@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from time import perf_counter
 
@@ -23,6 +23,18 @@ class Stopwatch:
         self.seconds: defaultdict[str, float] = defaultdict(float)
         self.calls: defaultdict[str, int] = defaultdict(int)
         self._inside = 0.0
+
+    def add(self, seconds: Mapping[str, float], calls: Mapping[str, int]) -> None:
+        """Count in what was timed before.
+
+        Args:
+            seconds: by phase.
+            calls: by phase.
+        """
+        for phase, more in seconds.items():
+            self.seconds[phase] += more
+        for phase, more_calls in calls.items():
+            self.calls[phase] += more_calls
 
     @contextmanager
     def __call__(self, phase: str) -> Iterator[None]:

@@ -11,7 +11,9 @@ from cosserat_fx.scene import Scene
 from cosserat_fx.stepping import StepControl, Stepper
 
 FIRST_STEP = 0.0025
-"""Default first step over the body's smallest extent: the mean strain in which the stiff response shows."""
+"""Largest default first step over the body's smallest extent."""
+STIFF_STRAINS = 4.0
+"""Strain in which the law's stiff response shows, over the pressure divided by the stiffness f_s at e_c."""
 
 Branch = Literal["stable", "primary"]
 
@@ -51,9 +53,13 @@ def step_control(scene: Scene, size: float, branch: Branch) -> StepControl:
         size: the extent (m).
         branch: what to do where equilibrium branches, unless the scene says so.
     """
-    asked = scene.stepping
+    asked, pressure = scene.stepping, -scene.initial.stress
+    critical = scene.material.characteristic_void_ratios(pressure).e_c
+    strain = STIFF_STRAINS * pressure / scene.material.stiffness_factor(pressure, critical)
+    stiff = min(FIRST_STEP, strain) * size
     return StepControl(
-        first=asked.first_step or min(FIRST_STEP * size, asked.max_step or float("inf")),
+        first=asked.first_step or min(stiff, asked.max_step or float("inf")),
+        stiff=stiff,
         largest=asked.max_step or float("inf"),
         smallest=asked.min_step or 0.0,
         branch=asked.branch or branch,

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from console import Call
 
     from cosserat_fx.results import Run
@@ -27,6 +29,27 @@ def default_run(request: pytest.FixtureRequest, default_runs: dict[str, Run]) ->
     """Each of them in turn."""
     run: Run = default_runs[request.param]
     return run
+
+
+@pytest.fixture(scope="session")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of the small layer that others run with faults, run without any."""
+    from faults import PLAIN
+    from layers import walk
+
+    folder = tmp_path_factory.mktemp("undisturbed") / "run"
+    walk(folder, "medium_rough", *PLAIN)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def undisturbed_on_two(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same on two ranks."""
+    from faults import launch
+
+    folder = tmp_path_factory.mktemp("undisturbed") / "run"
+    assert launch(folder, ranks=2).returncode == 0
+    return folder
 
 
 @pytest.fixture

@@ -63,7 +63,8 @@ def test_a_run_that_stops_early_ends_with_three_and_its_reason(call: Call, tmp_p
     assert outcome.status == STOPPED
     reason = read_run(tmp_path / "run").summary["reason"]
     assert reason.startswith("the run reached its limit of 1 steps")
-    assert outcome.err == f"stopped early: {reason}. What was computed is in {tmp_path / 'run'}.\n"
+    kept = f"What was computed is in {tmp_path / 'run'}; --resume goes on from there."
+    assert outcome.err == f"stopped early: {reason}. {kept}\n"
     assert "done" not in outcome.out
 
 
@@ -205,7 +206,7 @@ def test_check_tells_effects_sizes_and_cost_and_writes_nothing(
     assert cost
     assert 0.5 < int(cost[1]) / summary["steps"] < 2
     assert 0.1 < float(cost[2]) / summary["seconds"]["constitutive update"] < 10
-    [state] = re.findall(r"^memory: (\S+) MB of state, \d+ non-zeros, \S+ MB of factors$", outcome.out, re.M)
+    [state] = re.findall(r"^memory: (\S+) MB of state, \d+ non-zeros, \S+ MB of factors; about", outcome.out, re.M)
     sizes = summary["sizes"]
     memory = sizes["quadrature_points"] * sizes["bytes_per_quadrature_point"]
     assert float(state) == pytest.approx(memory / 1e6, rel=1e-2)

@@ -204,8 +204,9 @@ def _coverage(zone: Zone, samples: Samples) -> Array:
         return np.ones_like(samples.measures)
     if zone.centre is not None and zone.radius is not None:
         width = samples.sizes.mean(axis=2)
-        distance = np.linalg.norm(samples.positions - np.array(zone.centre), axis=2)
-        radius = np.sqrt(np.maximum(zone.radius**2 - width**2 / 12, 0.0))
+        distance = np.hypot(*np.moveaxis(samples.positions - np.array(zone.centre), 2, 0))
+        with np.errstate(over="ignore"):
+            radius = zone.radius * np.sqrt(np.maximum(1.0 - (width / zone.radius) ** 2 / 12, 0.0))
         smeared: Array = np.clip(0.5 - (distance - radius) / width, 0.0, 1.0)
         return smeared
     covered = np.ones_like(samples.measures)

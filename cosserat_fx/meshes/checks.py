@@ -10,6 +10,7 @@ import numpy.typing as npt
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from cosserat_fx.text import printable
 from cosserat_fx.typing import Array
 
 Indices = npt.NDArray[np.int64]
@@ -22,6 +23,10 @@ _HOW_TO_NAME = 'name them in Gmsh as Physical Curve("top") = {3}; and save the m
 
 class MeshError(ValueError):
     """A mesh file that cannot be used; the message names the file and what is allowed."""
+
+    def __init__(self, message: str) -> None:
+        """Keeps the message in one line, though names in it may come from a file."""
+        super().__init__(printable(message))
 
 
 def counter_clockwise(file: Path, points: Array, cells: Indices) -> Indices:

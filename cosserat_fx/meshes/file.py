@@ -7,7 +7,6 @@ lines on the body's surface become boundaries, groups of cells become regions; l
 
 from __future__ import annotations
 
-import contextlib
 import io
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -18,7 +17,9 @@ import numpy as np
 
 from cosserat_fx._compat import MPI, dolfinx, entity_nodes
 from cosserat_fx.geometry import Cell, Geometry, distribute
+from cosserat_fx.guard import bounded
 from cosserat_fx.meshes.checks import Indices, MeshError, counter_clockwise, pair_keys, surface_groups, surface_sides
+from cosserat_fx.meshes.examination import examine
 from cosserat_fx.parallel import on_first_rank
 from cosserat_fx.typing import Array, IntArray
 
@@ -27,6 +28,8 @@ __all__ = ["MeshError", "PlaneMesh", "load", "read", "read_with_meshio"]
 FLAT = 1e-9
 """Largest x3 of a plane mesh over its extent."""
 
+_LONGEST_REASON = 200
+"""Characters of what a reader says that are passed on."""
 _CELLS: Mapping[str, Cell] = {"triangle": "triangle", "quad": "quadrilateral"}
 _CORNERS = {"line": 2, "triangle": 3, "quad": 4}
 
@@ -92,12 +95,11 @@ def load(file: Path, scale: float) -> PlaneMesh:
     """
     raw = read_with_meshio(file)
     kind = _only_kind(file, raw)
-    _check_coordinates(file, raw)
-    points = raw.points[:, :2] * scale
-    cells, cell_groups = _gather(raw, kind)
-    lines, line_groups = _gather(raw, "line")
-
-    cells = counter_clockwise(file, points, cells)
+    with np.errstate(all="ignore"):  # what comes of numbers too large or too small is refused
+        points = _plane_points(file, raw, scale)
+        cells, cell_groups = _gather(raw, kind)
+        lines, line_groups = _gather(raw, "line")
+        cells = counter_clockwise(file, points, cells)
     # A cell of several groups may be in the file once for each.
     _, first, same = np.unique(np.sort(cells, axis=1), axis=0, return_index=True, return_inverse=True)
     cells, regions = cells[first], {name: np.unique(same.reshape(-1)[them]) for name, them in cell_groups.items()}
@@ -121,15 +123,24 @@ def read_with_meshio(file: Path) -> meshio.Mesh:
     Raises:
         MeshError: meshio cannot read it.
     """
-    said = io.StringIO()  # some of meshio's readers print what is wrong and leave the program
+    reason, said = "", io.StringIO()
     try:
-        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(io.StringIO()):
+        size = examine(file)
+        with bounded(size) as said:
             return meshio.read(file)
+    except MeshError:
+        raise
     except OSError as error:
         reason = error.strerror or str(error)
-    except (Exception, SystemExit) as error:  # readers fail on malformed files in every way there is
-        reason = said.getvalue() if isinstance(error, SystemExit) else f"{error}"
-    reason = " ".join(reason.split()) or "its content is malformed"
+    except MemoryError:
+        reason = "reading it would take more memory than a file of its size should or this machine has"
+    except ModuleNotFoundError as error:
+        reason = f"its format needs the Python package {error.name}, which is not installed"
+    except SystemExit:  # some of meshio's readers print what is wrong and leave the program
+        reason = said.getvalue().partition("Error: Couldn't read file")[0]
+    except Exception as error:  # readers fail on malformed files in every way there is
+        reason = str(error) if isinstance(error, meshio.ReadError | ValueError) else ""
+    reason = " ".join(reason.split())[:_LONGEST_REASON] or "its content is malformed"
     if "gmsh:physical" in reason:
         reason = "some of its elements are in no physical group: save it without them (in Gmsh, Mesh.SaveAll = 0)"
     raise MeshError(f"{file}: cannot be read as a mesh file: {reason}")
@@ -152,16 +163,24 @@ def _only_kind(file: Path, raw: meshio.Mesh) -> str:
     return next(iter(counts))
 
 
-def _check_coordinates(file: Path, raw: meshio.Mesh) -> None:
-    """Refuse coordinates that are no numbers or leave the plane, and cells of nodes that are not in the file."""
+def _plane_points(file: Path, raw: meshio.Mesh, scale: float) -> Array:
+    """Coordinates in the plane, (n, 2) (m).
+
+    Raises:
+        MeshError: they are no numbers or leave the plane, or cells have nodes that are not in the file.
+    """
     for block in raw.cells:
         if len(block.data) and not (np.min(block.data) >= 0 and np.max(block.data) < len(raw.points)):
             raise MeshError(f"{file}: cells must have nodes that are in the file")
-    if not np.isfinite(raw.points).all():
+    points: Array = np.asarray(raw.points, dtype=np.float64) * scale
+    if points.ndim != 2 or points.shape[1] not in (2, 3):
+        raise MeshError(f"{file}: must have two or three coordinates of each node")
+    if not np.isfinite(points).all():
         raise MeshError(f"{file}: coordinates must be finite numbers")
-    out = np.abs(raw.points[:, 2:]).max(initial=0.0)
-    if out > FLAT * np.ptp(raw.points[:, :2], axis=0).max():
-        raise MeshError(f"{file}: must lie in the plane x3 = 0, but x3 reaches {out:g}")
+    out = np.abs(points[:, 2:]).max(initial=0.0)
+    if out > FLAT * np.ptp(points[:, :2], axis=0).max(initial=0.0):
+        raise MeshError(f"{file}: must lie in the plane x3 = 0, but x3 reaches {out:g} m")
+    return points[:, :2]
 
 
 def _gather(raw: meshio.Mesh, kind: str) -> tuple[Indices, dict[str, Indices]]:

@@ -46,11 +46,21 @@ class LayerRecording:
     def start(self, folder: RunFolder) -> None:
         """Write the initial fields, and the profiles where they are asked for."""
         self._folder = folder
-        if self._layer.scene.output.fields and self._comm.rank == 0:
-            self._fields = FieldWriter(folder.fields)
+        self._begin_fields([])
         self._write_fields(0, 0.0)
         if 0.0 in self._layer.stations:
             self._write_profile(0, 0.0)
+
+    def memento(self) -> dict[str, Any]:
+        """The last step, and the fields that are written."""
+        return {"last": self._last, "fields": self._fields.written if self._fields else []}
+
+    def resume(self, folder: RunFolder, memento: dict[str, Any]) -> None:
+        """Go on in a run's folder."""
+        self._folder = folder
+        step, travel = memento["last"]
+        self._last = step, travel
+        self._begin_fields(memento["fields"])
 
     def record(self, step: Step) -> None:
         """Write profiles and fields where they are asked for."""
@@ -76,6 +86,15 @@ class LayerRecording:
             band = band_metrics(profile, critical, d50=scene.material.d50, height=scene.geometry.height)
             entries["band"] = asdict(band)
         return entries | {"friction": asdict(friction_metrics(read_run(self._folder.path).history))}
+
+    def _begin_fields(self, written: list[float]) -> None:
+        """Make the writer of the fields, on rank 0, after those that are there (travels in m)."""
+
+        def begin() -> None:
+            self._fields = FieldWriter(self._folder.fields, written)
+
+        if self._layer.scene.output.fields:
+            on_first_rank(self._comm, begin)
 
     def _write_profile(self, step: int, travel: float) -> None:
         profile = self._observer.profile(step, travel)

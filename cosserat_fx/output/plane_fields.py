@@ -6,6 +6,7 @@ was made, however many ranks there were.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -73,16 +74,22 @@ class PlaneState:
 class PlaneFieldWriter:
     """Writes ``plane.pvd`` and one file per state."""
 
-    def __init__(self, folder: Path) -> None:
-        """Make the folder.
+    def __init__(self, folder: Path, written: Sequence[float] = ()) -> None:
+        """Make the folder, or go on in it.
 
         Args:
             folder: where to write.
+            written: travels of the states that are there already and stay (m).
 
         Raises:
             OutputError: the folder cannot be made.
         """
-        self._series = Series(folder, STEM)
+        self._series = Series(folder, STEM, written)
+
+    @property
+    def written(self) -> list[float]:
+        """Travels of the states written so far (m)."""
+        return self._series.written
 
     def write(self, state: PlaneState) -> None:
         """Write a state.

@@ -50,9 +50,18 @@ class PlaneRecording:
 
     def start(self, folder: RunFolder) -> None:
         """Write the initial fields."""
-        if self._output.fields and self._comm.rank == 0:
-            self._fields = PlaneFieldWriter(folder.fields)
+        self._begin_fields(folder, [])
         self._write_fields()
+
+    def memento(self) -> dict[str, Any]:
+        """The last step, and the fields that are written."""
+        fields = self._fields.written if self._fields else []
+        return {"last": self._last, "written": self._written, "frame": self._frame, "fields": fields}
+
+    def resume(self, folder: RunFolder, memento: dict[str, Any]) -> None:
+        """Go on in a run's folder."""
+        self._last, self._written, self._frame = (memento[name] for name in ("last", "written", "frame"))
+        self._begin_fields(folder, memento["fields"])
 
     def record(self, step: Step) -> None:
         """Write the fields where the first leg begins, at stations, and with the first step into each part of it."""
@@ -86,6 +95,15 @@ class PlaneRecording:
         frame = max(0, floor(frames * done * (1 + 1e-12)))
         entered, self._frame = frame > self._frame, max(frame, self._frame)
         return entered
+
+    def _begin_fields(self, folder: RunFolder, written: list[float]) -> None:
+        """Make the writer of the fields, on rank 0, after those that are there (travels in m)."""
+
+        def begin() -> None:
+            self._fields = PlaneFieldWriter(folder.fields, written)
+
+        if self._output.fields:
+            on_first_rank(self._comm, begin)
 
     def _write_fields(self) -> None:
         self._written = self._last

@@ -33,6 +33,17 @@ class Recording(Protocol):
             OutputError: a file cannot be written.
         """
 
+    def memento(self) -> dict[str, Any]:
+        """What has to be remembered to go on after the last row, of types that JSON knows; read on rank 0."""
+
+    def resume(self, folder: RunFolder, memento: dict[str, Any]) -> None:
+        """Go on in a run's folder, instead of :meth:`start`.
+
+        Args:
+            folder: of the run.
+            memento: what :meth:`memento` gave.
+        """
+
     def record(self, step: Step) -> None:
         """Write what is to be kept of an accepted step beside its row.
 

@@ -13,7 +13,14 @@ from cosserat_fx.results import BOUNDARY_COLUMNS, PLANE_COLUMNS
 from cosserat_fx.scenes.histories import Given, History, HistoryTable, Meaning
 from cosserat_fx.scenes.plane import RECTANGLE_BOUNDARIES, Boundary, BoundaryWall, Column, Point, RectangleGeometry
 from cosserat_fx.scenes.registry import IDENTIFIER
-from cosserat_fx.scenes.schema import ROUNDING, spell_key
+from cosserat_fx.scenes.schema import MAX_NAMED, ROUNDING, Table, spell_key
+
+
+def check_number(**tables: Mapping[str, Table]) -> None:
+    """Refuses more boundaries or points, by these keys, than a scene may have."""
+    for key, named in tables.items():
+        if len(named) > MAX_NAMED:
+            raise AdmissibilityError(key, len(named), f"must not be more than {MAX_NAMED}")
 
 
 def check_points(points: Mapping[str, Point], geometry: RectangleGeometry) -> None:
@@ -158,7 +165,8 @@ def reached(travels: Sequence[float], ends: Sequence[float]) -> tuple[float, ...
     total = ends[-1]
     found: list[float] = []
     for index, travel in enumerate(travels):
-        end = min(ends[max(0, bisect(ends, travel) - 1) :][:2], key=lambda end: abs(end - travel))
+        before = max(0, bisect(ends, travel) - 1)
+        end = min(ends[before : before + 2], key=lambda end: abs(end - travel))
         here = end if abs(end - travel) <= ROUNDING * total else travel
         key = f"output.fields_at[{index}]"
         if not 0 <= here <= total:

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from itertools import accumulate, pairwise
-from typing import Annotated, Any, Self, get_args
+from typing import Annotated, Any, Final, Self, get_args
 
 import numpy as np
 from annotated_types import MaxLen, MinLen
@@ -165,10 +165,14 @@ def leg_lengths(given: Sequence[Given], d50: float) -> tuple[float, ...]:
     corners = _table_corners(given)
     if corners:
         return tuple(end - begin for begin, end in pairwise(corners))
-    legs = count_legs(given)
-    moving = [it.history for it in given if it.meaning is Meaning.DISPLACEMENT]
-    ends = [(0.0, *_targets(it, legs)) for it in moving if not isinstance(it, HistoryTable)]
-    return tuple(max((abs(end[leg + 1] - end[leg]) for end in ends), default=0.0) or d50 for leg in range(legs))
+    changes = np.zeros(count_legs(given))
+    for it in given:
+        if it.meaning is Meaning.DISPLACEMENT:
+            targets = np.atleast_1d(np.array(it.history, dtype=np.float64))  # a number is reached in the first leg
+            with np.errstate(over="ignore"):
+                change = np.abs(np.diff(targets, prepend=0.0))
+            changes[: len(change)] = np.maximum(changes[: len(change)], change)
+    return tuple((changes + d50 * (changes == 0)).tolist())
 
 
 def _targets(history: float | tuple[float, ...], legs: int) -> tuple[float, ...]:
@@ -202,6 +206,9 @@ def check_motions_start_at_rest(given: Sequence[Given]) -> None:
             raise AdmissibilityError(f"{it.key}.value[0]", table.value[0], allowed)
 
 
+_EXTREMES: Final = ((min, np.inf), (max, -np.inf))
+
+
 def largest_range(groups: Sequence[Sequence[History]], lengths: Sequence[float]) -> float:
     """Returns the largest difference of prescribed displacements along the same direction at any time, m.
 
@@ -213,8 +220,14 @@ def largest_range(groups: Sequence[Sequence[History]], lengths: Sequence[float])
     """
     largest = 0.0
     for group in groups:
-        rows = [motion(history, lengths) for history in group]
-        if len(rows) == 1:
-            rows.append((0.0,) * (len(lengths) + 1))
-        largest = max([largest, *(max(column) - min(column) for column in zip(*rows, strict=True))])
+        held = [it for it in group if isinstance(it, float)] + [0.0] * (len(group) == 1)
+        low, high = (np.full(len(lengths) + 1, extreme(held, default=rest)) for extreme, rest in _EXTREMES)
+        if held:
+            low[0] = high[0] = 0.0
+        for history in group:
+            if not isinstance(history, float):
+                values = motion(history, lengths)
+                low, high = np.minimum(low, values), np.maximum(high, values)
+        with np.errstate(over="ignore"):
+            largest = max(largest, float(np.max(high - low)) if group else 0.0)
     return largest

@@ -1,5 +1,6 @@
 """The table of the initial state: stress, void ratio, and how the void ratio differs from place to place."""
 
+from math import hypot
 from typing import Annotated, Final, Self
 
 from annotated_types import MaxLen
@@ -135,7 +136,7 @@ class Initial(Table):
                 raise AdmissibilityError(f"initial.zones[{index}].region", zone.region, allowed)
             if zone.centre and zone.radius:
                 gaps = [max(-at, 0.0, at - size) for at, size in zip(zone.centre, (width, height), strict=True)]
-                if sum(gap**2 for gap in gaps) >= zone.radius**2:
+                if hypot(*gaps) >= zone.radius:
                     allowed = f"must make a circle that reaches into the rectangle, {width:g} by {height:g} m"
                     raise AdmissibilityError(f"initial.zones[{index}].centre", zone.centre, allowed)
         self._check_within({"x": width, "y": height})

@@ -23,6 +23,7 @@ from cosserat_fx.scenes.histories import (
 from cosserat_fx.scenes.registry import registered
 from cosserat_fx.scenes.schema import (
     MAX_CELLS,
+    MAX_LIST,
     Displacements,
     File,
     Length,
@@ -240,7 +241,7 @@ class PlaneOutput(Output):
 
     fields_at: Displacements | None = None
     """Travels at which fields are written, ascending, m."""
-    frames: int = Field(default=40, ge=0)
+    frames: int = Field(default=40, ge=0, le=MAX_LIST)
     """About so many snapshots, evenly over the path, for ParaView and the animation."""
     animation: bool = True
     """Whether to draw an animation."""

@@ -11,9 +11,12 @@ from pydantic_core import ErrorDetails
 
 from cosserat_fx.material import AdmissibilityError
 from cosserat_fx.scenes.schema import Table, Unit, list_as_tuple, spell_key, unknown_key
+from cosserat_fx.text import printable
 
 _MAX_LINES: Final = 20
 """Number of faults told at once."""
+_MAX_KEY: Final = 200
+"""Number of characters of a key that are told."""
 _MAX_SHOWN: Final = 60
 """Number of characters of a value repeated in a message."""
 
@@ -27,8 +30,8 @@ class SceneError(ValueError):
     """A scene that cannot be used. Each line of the message names a key, its value and what is allowed."""
 
     def __init__(self, message: str) -> None:
-        """Keeps the message, with what cannot be written as UTF-8 spelled out."""
-        super().__init__(message.encode("utf-8", "backslashreplace").decode())
+        """Keeps the message, with what cannot be printed spelled out."""
+        super().__init__(printable(message, keep="\n"))
 
 
 def refusal(error: ValidationError, kind: str, kinds: Mapping[str, type[Table]]) -> SceneError:
@@ -55,7 +58,8 @@ def scene_error(error: AdmissibilityError) -> SceneError:
 
 def line(key: str, value: object, allowed: str) -> str:
     """Returns "key = value: what is allowed"; a value of None is one that is missing."""
-    return f"{key} is missing: {allowed}" if value is None else f"{key} = {shown(value)}: {allowed}"
+    name = key if len(key) <= _MAX_KEY else key[:_MAX_KEY] + "..."
+    return printable(f"{name} is missing: {allowed}" if value is None else f"{name} = {shown(value)}: {allowed}")
 
 
 def _line(details: ErrorDetails, scene: type[Table], kinds: Mapping[str, type[Table]]) -> str:

@@ -25,6 +25,8 @@ from cosserat_fx.material import AdmissibilityError
 
 MAX_CELLS: Final = 10_000_000
 MAX_LIST: Final = 100_000
+MAX_NAMED: Final = 10_000
+"""Number of boundaries, and of points, that a scene may have."""
 ROUNDING: Final = 1e-9
 """Differences of fractions, of places on the path and of places in the body that are taken for rounding, relative."""
 
@@ -219,12 +221,27 @@ class Solver(Table):
 
     newton_tolerance: float = Field(default=1e-9, gt=0, lt=1)
     """Relative tolerance of the global Newton iteration."""
-    max_iterations: int = Field(default=25, ge=1)
+    max_iterations: int = Field(default=25, ge=1, le=MAX_LIST)
     """Newton iterations after which a step is cut back."""
     local_tolerance: float = Field(default=1e-3, gt=0, lt=1)
     """Relative error allowed in the integration of the law over a step."""
     petsc: dict[str, PetscOption] = Field(default_factory=dict)
-    """Options passed through to PETSc."""
+    """Options passed through to PETSc; none by which it would call Python code or write files."""
+
+    @model_validator(mode="after")
+    def _check_petsc_stays_inside(self) -> Self:
+        for name, value in self.petsc.items():
+            key = f"petsc.{spell_key(name)}"
+            if "python" in f"{name} {value}".lower():
+                raise AdmissibilityError(
+                    key, value, "must not make PETSc call Python code, as no scene executes anything"
+                )
+            if isinstance(value, str) and any(value.split(":")[1:2]):
+                allowed = (
+                    "must not name a file, as a scene writes to its run's folder only (type:file:format is PETSc's way)"
+                )
+                raise AdmissibilityError(key, value, allowed)
+        return self
 
 
 class Output(Table):
@@ -234,6 +251,8 @@ class Output(Table):
     """Whether to write fields for ParaView."""
     figures: bool = True
     """Whether to draw figures."""
+    checkpoints: Literal["auto", "off"] | Annotated[float, Unit("s"), Field(ge=0)] = "auto"
+    """Seconds between checkpoints, 0 for one after every step; "auto" as often as 1 % of the run's time allows."""
 
 
 def spell_key(key: str) -> str:
