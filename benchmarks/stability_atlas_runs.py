@@ -17,7 +17,7 @@ from stability_atlas_scenes import AtlasScene
 
 from cosserat_fx._compat import MPI
 from cosserat_fx.layer import Layer, build
-from cosserat_fx.scene import parse_scene
+from cosserat_fx.scene import LayerScene, parse_scene
 from cosserat_fx.stepping import SteppingError
 
 MAX_SECONDS = 120
@@ -90,7 +90,9 @@ def walk(scene: AtlasScene, *, max_seconds: float = MAX_SECONDS) -> Outcome:
         max_seconds: after which it counts as hung.
     """
     begin = process_time()
-    layer = build(parse_scene(scene.tables() | {"stepping": _stepping(scene)}), MPI.COMM_SELF)
+    parsed = parse_scene(scene.tables() | {"stepping": _stepping(scene)})
+    assert isinstance(parsed, LayerScene)
+    layer = build(parsed, MPI.COMM_SELF)
     ending: Ending = "done"
     reason, travel = "", 0.0
     steps = iterations = cutbacks = passages = substeps = 0

@@ -50,7 +50,7 @@ class Checkpoints:
         self._identity: dict[str, Any] = on_first_rank(self._comm, lambda: _identity(scene))
         self._record = snapshot.cell_record(stepper.problem)
         self._start = self._last = perf_counter()
-        self._spent = 0.0
+        self._spent = self._cost = 0.0
 
     @property
     def scene_digest(self) -> str:
@@ -68,7 +68,7 @@ class Checkpoints:
             return False
         now = perf_counter()
         if self._interval == "auto":
-            due = self._spent <= SHARE * (now - self._start)
+            due = self._spent + self._cost <= SHARE * (now - self._start)
         else:
             due = now - self._last >= self._interval
         return bool(self._comm.bcast(due))

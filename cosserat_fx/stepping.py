@@ -256,17 +256,25 @@ class Stepper:
             problem.roll_back()
             if solution.hopeless:
                 return solution
+            if step <= self._longest_motion() and (moved := self._move()):
+                return moved.after(iterations)
+            problem.roll_back()
         if not self.solver.predict():
-            return Solution(False, iterations, "the law or the linear solver failed at the start of the step", np.inf)
+            return self.solver.failed_prediction().after(iterations)
         if problem.largest_strain() > self.LARGEST_STRAIN and step > self.control.smallest:
             return Solution(
                 False, iterations, f"a point would be strained by more than {self.LARGEST_STRAIN:g}", np.inf
             )
         solution = self.solver.solve().after(iterations)
-        if solution.converged or solution.hopeless or step > self._longest_motion():
+        if solution.converged or solution.hopeless or self.last is not None or step > self._longest_motion():
             return solution
-        moved = relax(problem, self.solver, self.control.strain)
+        moved = self._move()
         return moved.after(solution.iterations) if moved else solution
+
+    def _move(self) -> Solution | None:
+        """Let the body move to an equilibrium; None where it finds none."""
+        moved = relax(self.problem, self.solver, self.control.strain)
+        return moved if moved and moved.converged else None
 
     def _longest_motion(self) -> float:
         """Longest step over which the body is let move to an equilibrium; a longer one is cut first."""

@@ -38,7 +38,7 @@ class Disk(NamedTuple):
     def leave(self, free: int) -> str:
         """Fill it up to so many bytes, or see to it that no file grows larger; what a run is to do before it begins."""
         if not self.within:
-            return f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({free}, {free}))"
+            return f"import cosserat_fx.run, resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({free}, {free}))"
         filler = self.place / "filler"
         subprocess.run([*self.within, "rm", "-f", str(filler)], check=True)
         room = os.statvfs(self.seen_from_here)

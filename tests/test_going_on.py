@@ -68,9 +68,8 @@ def test_an_empty_folder_takes_a_run(tmp_path: Path, call: Call, undisturbed: Pa
 @pytest.mark.parametrize("done", [True, False], ids=["done", "unfinished"])
 def test_a_run_of_another_scene_is_left_alone(done: bool, tmp_path: Path, call: Call) -> None:
     folder = tmp_path / "run"
-    assert (
-        call(*arguments(folder, *PLAIN, *[] if done else ["stepping.max_steps=4"])).status == DONE if done else STOPPED
-    )
+    status, keys = (DONE, PLAIN) if done else (STOPPED, (*PLAIN, "stepping.max_steps=4"))
+    assert call(*arguments(folder, *keys)).status == status
     before = contents(folder)
     outcome = call(*arguments(folder, *PLAIN, "initial.void_ratio=0.61"))
     assert outcome.status == BAD_INPUT
@@ -109,9 +108,9 @@ def blind(solver: NewtonSolver) -> None:
     """MUMPS is given a matrix without entries."""
     assemble = solver._problem.assemble_jacobian
 
-    def assemble_nothing(matrix: Any) -> None:
-        assemble(matrix)
-        matrix.zeroEntries()
+    def assemble_nothing(a: Any) -> None:
+        assemble(a)
+        a.zeroEntries()
 
     solver._problem.assemble_jacobian = assemble_nothing  # type: ignore[method-assign]
 
@@ -154,17 +153,16 @@ def test_solvers_that_fail_end_a_run_that_goes_on(
 def test_a_clock_that_jumps(tmp_path: Path, call: Call, monkeypatch: pytest.MonkeyPatch, undisturbed: Path) -> None:
     """By years, to and fro: nothing that a run decides or tells depends on the time of day."""
     dice = random.Random(1)
-    start, real, year = time.perf_counter(), time.time, 365.25 * 86400
-    for name, unit in (("time", 1.0), ("time_ns", 1e9)):
-        kind = type(getattr(time, name)())
-        monkeypatch.setattr(time, name, lambda: kind(unit * (real() + year * dice.uniform(-30, 30))))
+    start, seconds, year = time.perf_counter(), time.time, 365.25 * 86400
+    monkeypatch.setattr(time, "time", lambda: seconds() + year * dice.uniform(-30, 30))
+    monkeypatch.setattr(time, "time_ns", lambda: int(1e9 * time.time()))
     folder = tmp_path / "run"
     outcome = call(*arguments(folder, *PLAIN[:-2], "output.checkpoints=1e-9", PLAIN[-1]))
     assert (outcome.status, outcome.err) == (DONE, "")
     assert_nothing_lost(folder, undisturbed)
     summary = read_run(folder).summary
     assert summary["calls"]["checkpoints"] == summary["steps"]
-    seconds = summary["seconds"]
-    assert min(seconds.values()) >= 0
-    assert sum(seconds.values()) - seconds["whole run"] <= seconds["whole run"] < time.perf_counter() - start
+    phases = summary["seconds"]
+    assert min(phases.values()) >= 0
+    assert sum(phases.values()) - phases["whole run"] <= phases["whole run"] < time.perf_counter() - start
     assert json.loads((folder / "run.json").read_text()) == summary

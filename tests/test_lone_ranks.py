@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import pytest
 from faults import assert_nothing_lost, launch
 
 IMPATIENTLY = "import cosserat_fx.parallel; cosserat_fx.parallel.PATIENCE = 0.5"
@@ -49,10 +50,27 @@ def test_all_end_and_go_on(tmp_path: Path, undisturbed_on_two: Path) -> None:
     assert_nothing_lost(folder, undisturbed_on_two)
 
 
-def test_an_error_on_all_ranks_is_told_once(tmp_path: Path) -> None:
-    """What fails on the first rank on behalf of all is an error of each of them."""
-    fault = "on_call('cosserat_fx.output.folder:RunFolder.append_history', 2, throw(TypeError('no row')))"
-    process = launch(tmp_path / "run", ranks=2, before=fault)
-    assert process.returncode == 1
-    assert process.stderr.count("\nTypeError: no row\n") == 1
-    assert process.stderr.splitlines()[-1] == "cosserat-fx: internal error on rank 0: TypeError: no row"
+@pytest.mark.parametrize(
+    ("fault", "status", "message"),
+    [
+        (
+            "on_call('cosserat_fx.output.layer_fields:Series.__init__', 1, throw(OutputError('no room')))",
+            2,
+            "cosserat-fx: no room",
+        ),
+        (
+            "on_call('cosserat_fx.output.folder:RunFolder.append_history', 2, throw(TypeError('no row')))",
+            1,
+            "cosserat-fx: internal error on rank 0: TypeError: no row",
+        ),
+    ],
+    ids=["foreseen", "unforeseen"],
+)
+def test_what_the_first_rank_cannot_do_for_all_is_told_once(
+    fault: str, status: int, message: str, tmp_path: Path
+) -> None:
+    """It ends all ranks alike, without any of them having to end the others."""
+    process = launch(tmp_path / "run", ranks=2, before=f"{IMPORTS}\n{fault}")
+    assert process.returncode == status
+    assert [line for line in process.stderr.splitlines() if line.startswith("cosserat-fx: ")] == [message]
+    assert process.stderr.count("Traceback") == (status == 1)

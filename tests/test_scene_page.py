@@ -62,7 +62,9 @@ def described(key: str, field: FieldInfo) -> tuple[str, str, str]:
     if literals:
         kind = "text, true or false" if bool in allowed else "text"
         choices = [f'`"{it}"`' for it in literals] + (["`true`", "`false`"] if bool in allowed else [])
-        return kind, "", ", ".join(choices)
+        if float in allowed:
+            kind, choices = "text or number", [*choices, bounds_of(key, metadata)]
+        return kind, unit, ", ".join(choices)
     if any(isinstance(it, Meaning) for it in metadata):
         return "history", unit, ""
     if get_origin(allowed[0]) is tuple:

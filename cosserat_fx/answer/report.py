@@ -46,8 +46,14 @@ class Answer:
         self._found: dict[str, Check] = {}
 
     def observe(self, step: Step) -> None:
-        """Note what a step just committed was accepted with."""
-        accepted = float(self._solver.snes.getTolerances()[1])
+        """Note up to which norm of the out-of-balance forces a step just committed was taken for done.
+
+        That is the solver's tolerance or, where rounding keeps it from being met, what the solver stopped at.
+        """
+        snes = self._solver.snes
+        accepted = float(snes.getTolerances()[1])
+        if snes.getConvergedReason() < 0:
+            accepted = max(accepted, float(snes.getFunctionNorm()))
         mean = (accepted + self._accepted) / 2
         self._accounts.sums.unbalanced += mean * self._accounts.displacement
         self._steps, self._travel, self._accepted = step.number, step.travel, accepted

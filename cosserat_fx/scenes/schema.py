@@ -17,7 +17,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 
-from annotated_types import MaxLen
+from annotated_types import Ge, MaxLen
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo, model_validator
 from pydantic.fields import FieldInfo
 
@@ -251,7 +251,7 @@ class Output(Table):
     """Whether to write fields for ParaView."""
     figures: bool = True
     """Whether to draw figures."""
-    checkpoints: Literal["auto", "off"] | Annotated[float, Unit("s"), Field(ge=0)] = "auto"
+    checkpoints: Literal["auto", "off"] | Annotated[float, Unit("s"), Ge(0)] = "auto"
     """Seconds between checkpoints, 0 for one after every step; "auto" as often as 1 % of the run's time allows."""
 
 
