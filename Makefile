@@ -3,6 +3,7 @@
 # make lint   ruff and mypy
 # make bench  what accuracy costs in time, measured
 # make docs   the figures and tables of the documentation, made anew
+# make reliability   those of its pages on stability and reliability, which take hours
 # Each makes the environment .venv first, once, with DOLFINx and everything else from PyPI.
 # PYTHON=/path/to/python chooses the Python to make it with.
 
@@ -13,7 +14,7 @@ endif
 .ONESHELL:
 .SHELLFLAGS := -euc
 .SILENT:
-.PHONY: install demo test lint bench docs clean
+.PHONY: install demo test lint bench docs reliability clean
 
 # Small problems want ranks, not threads; on one machine MPI has no network card to look for.
 export OMP_NUM_THREADS ?= 1
@@ -62,6 +63,21 @@ docs: demo bench
 	done
 	for strip in very medium; do
 	  cp runs/plane_demos/rough_strip_$${strip}_rough/figures/state_03.png docs/figures/rough_strip_$${strip}_rough.png
+	done
+
+# What the pages on stability and reliability show; hours on two cores, and gone on with where it was interrupted.
+reliability: .venv/.complete
+	.venv/bin/python benchmarks/stability_atlas.py --out runs/stability_atlas
+	cp runs/stability_atlas/*.png docs/figures/
+	sed -i '/^<!-- tables -->$$/q' docs/stability.md
+	cat runs/stability_atlas/tables.md >> docs/stability.md
+	.venv/bin/python benchmarks/checkpoint_cost.py --out runs/checkpoint_cost
+	.venv/bin/python benchmarks/faults.py --out runs/faults
+	.venv/bin/python benchmarks/fuzz.py --cases 6000 --out runs/fuzz
+	.venv/bin/python benchmarks/soak.py --out runs/soak
+	cp runs/soak/soak.png docs/figures/
+	for part in checkpoint_cost faults fuzz soak; do
+	  sed -i -e "/^<!-- $$part -->$$/,/^<!-- end -->$$/{//!d}" -e "/^<!-- $$part -->$$/r runs/$$part/tables.md" docs/reliability.md
 	done
 
 install: .venv/.complete

@@ -102,7 +102,9 @@ def campaign(name: str, cases: st.SearchStrategy[Case], count: int, start: int, 
 def main(
     cases: Annotated[int, typer.Option(help="How many to try.")] = 6000,
     start: Annotated[int, typer.Option("--seed", help="Another seed is other cases.")] = 0,
-    keep: Annotated[Path, typer.Option(help="Where the files of lost cases are kept.")] = Path("runs/lost"),
+    out: Annotated[Path, typer.Option(help="Folder for the table, and for the files of lost cases.")] = Path(
+        "runs/fuzz"
+    ),
 ) -> None:
     """Runs the campaign, prints a table, and fails where anything is lost."""
     began = time.perf_counter()
@@ -111,13 +113,20 @@ def main(
         "mesh files": (file_cases(mesh_cases()), 4),
         "void ratios": (file_cases(field_cases()), 1),
     }
-    tallies = [campaign(name, kind, cases * tenths // 10, start, keep) for name, (kind, tenths) in kinds.items()]
-    print("| input | cases | refused | accepted | also by command line | slowest (s) | lost |")
-    print("|---|---|---|---|---|---|---|")
+    tallies = [
+        campaign(name, kind, cases * tenths // 10, start, out / "lost") for name, (kind, tenths) in kinds.items()
+    ]
+    table = [
+        "| input | cases | refused | accepted | also by command line | slowest (s) | lost |",
+        "|---|---|---|---|---|---|---|",
+    ]
     for tally in tallies:
         counts = [tally.counts[it] for it in ("cases", "refused", "accepted", "command line")]
         entries = [tally.name, *counts, f"{tally.slowest:.1f}", tally.counts["lost"] or "none"]
-        print(f"| {' | '.join(map(str, entries))} |")
+        table.append(f"| {' | '.join(map(str, entries))} |")
+    print("\n".join(table))
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "tables.md").write_text("\n".join([*table, ""]))
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
     print(f"{time.perf_counter() - began:.0f} s, at most {peak / 1e9:.2f} GB")
     raise typer.Exit(int(any(tally.counts["lost"] for tally in tallies)))

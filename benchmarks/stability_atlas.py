@@ -8,6 +8,7 @@ Writes a row of `atlas.csv` as soon as a scene is done, and goes on where it was
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -28,7 +29,7 @@ def main(
     max_seconds: Annotated[float, typer.Option(help="Time of the processor after which a scene hangs.")] = MAX_SECONDS,
 ) -> None:
     """Walks the scenes of the atlas that are not yet walked, and draws it."""
-    scenes = samples(QUICK_SAMPLES) if quick else [*samples(SAMPLES), *corners(SAMPLES)]
+    scenes = samples(QUICK_SAMPLES) if quick else _mixed(samples(SAMPLES), corners(SAMPLES))
     out.mkdir(parents=True, exist_ok=True)
     log = Log(out / "atlas.csv")
     console = Console(soft_wrap=True)
@@ -37,6 +38,12 @@ def main(
     (out / "tables.md").write_text(report.tables(), encoding="utf-8")
     draw_maps(report.entries, out)
     console.print(report.tables(), highlight=False)
+
+
+def _mixed(*groups: Sequence[AtlasScene]) -> list[AtlasScene]:
+    """All scenes, in an order in which every part of the way is a picture of the whole."""
+    places = [(k / len(group), scene) for group in groups for k, scene in enumerate(group)]
+    return [scene for _, scene in sorted(places, key=lambda it: (it[0], it[1].number))]
 
 
 def _walk_all(scenes: list[AtlasScene], log: Log, max_seconds: float, console: Console) -> None:

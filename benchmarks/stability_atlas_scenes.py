@@ -13,6 +13,8 @@ from scipy.stats import qmc
 from cosserat_fx.material import Material
 
 D50: Final = Material.named("paper-sand").d50
+MAX_CELLS: Final = 2000
+"""More make the atlas take a day; a tall layer is so much coarser than asked for."""
 
 Walk = Literal["own steps", "at once", "cyclic"]
 """To the target with the program's own steps, or with a first step as long as the way; to and fro by a fifth of it."""
@@ -123,7 +125,7 @@ def samples(count: int, seed: int = 4) -> list[AtlasScene]:
 
 
 def corners(first_number: int) -> list[AtlasScene]:
-    """Every other corner of the box, those with an even number of far ends, and with the far target all of them.
+    """Every other corner of the box: those with an even number of far ends, and with the far target all of them.
 
     Of the 128 corners of the other seven sides these 64 are the half in which no effect of one side, and no joint
     effect of two, is confounded with another such. Half of them go at once, half to and fro.
@@ -137,6 +139,12 @@ def corners(first_number: int) -> list[AtlasScene]:
     ]
 
 
+def _coarsened(fineness: float, height: float) -> float:
+    """Cells per d50 of a layer that is not to have too many."""
+    return min(fineness, MAX_CELLS / height)
+
+
 def _scene(number: int, kind: Literal["sample", "corner"], walk: Walk, parts: Iterable[float]) -> AtlasScene:
     values = {axis.key: axis.at(float(part)) for axis, part in zip(AXES, parts, strict=True)}
+    values["fineness"] = _coarsened(values["fineness"], values["height"])
     return AtlasScene(number, kind, walk, **values)

@@ -225,9 +225,8 @@ class NewtonSolver:
         ksp = self.snes.getKSP()
         ksp.setOperators(a)
         ksp.setUp()
-        if ksp.getPC().getFailedReason():
-            return False
-        return self._determinant_is_positive()
+        failed = bool(ksp.getPC().getFailedReason())
+        return not self._problem.comm.allreduce(failed, op=MPI.LOR) and self._determinant_is_positive()
 
     @property
     def sees_branches(self) -> bool:
@@ -250,7 +249,7 @@ class NewtonSolver:
         """Where the forces are out of balance most at the unknown at hand, or why the law does not reach it."""
         if np.isfinite(self.out_of_balance()):
             return imbalance(self._problem)
-        return f"the law ends before: {self._failure}"
+        return str(self._failure)
 
     def _is_rounding(self) -> bool:
         """Whether the out-of-balance forces at the last iterate are no more than rounding of the unknown makes.
@@ -357,6 +356,8 @@ def _set_options(options: Mapping[str, PetscOption]) -> None:
     while _set_here:
         database.delValue(_set_here.pop())
     for key, value in {**_DEFAULTS, **options}.items():
+        if key.startswith("pc_factor") and key not in options and database.getString("pc_type") != "lu":
+            continue
         if key in options or not database.hasName(key):
             database.setValue(key, value)
             _set_here.add(key)

@@ -16,7 +16,6 @@ from cosserat_fx.kernel_time import kernel_shares
 from cosserat_fx.output.layer_observation import looseness
 from cosserat_fx.output.recording import Recording
 from cosserat_fx.parallel import on_first_rank
-from cosserat_fx.plots import draw_all
 from cosserat_fx.results import FORMAT, RunFolder
 from cosserat_fx.stepping import Step
 from cosserat_fx.timing import Stopwatch
@@ -153,8 +152,14 @@ class Recorder:
         if self._scene.output.figures and self.ledger.steps:
             self.summarise("running")
             with self._problem.stopwatch("figures"):
-                on_first_rank(self._comm, lambda: draw_all(self._folder.path))
+                on_first_rank(self._comm, self._draw)
         self.summarise("done" if self.ledger.reason is None else "stopped")
+
+    def _draw(self) -> None:
+        """Draw the figures; matplotlib, slow to load and large, is loaded where and when it is needed."""
+        from cosserat_fx.plots import draw_all
+
+        draw_all(self._folder.path)
 
     def summarise(self, status: str) -> None:
         """Write run.json, on rank 0, which needs no other rank for it."""

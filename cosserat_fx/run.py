@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from cosserat_fx._compat import MPI, PETSc
-from cosserat_fx.bodies import Body, build, recording_of
+from cosserat_fx.bodies import Body, build, recording_of, told_by
 from cosserat_fx.checkpoint import Checkpoints
 from cosserat_fx.effects import Effect
 from cosserat_fx.interruption import InterruptedRunError, Interruption
@@ -22,7 +22,7 @@ from cosserat_fx.parallel import FailedAloneError, RollCall, on_first_rank
 from cosserat_fx.progress import RunProgress
 from cosserat_fx.recorder import Ledger, Recorder
 from cosserat_fx.results import OutputError, RunFolder, read_run
-from cosserat_fx.scene import Scene, SceneError
+from cosserat_fx.scene import Scene
 from cosserat_fx.stepping import SteppingError
 
 
@@ -52,16 +52,13 @@ def run(
 
     Raises:
         OutputError: the folder cannot be made, or what is in it cannot be gone on with.
-        SceneError: PETSc refuses an option.
+        SceneError: as :func:`~cosserat_fx.bodies.build` says.
         FailedAloneError: this rank failed and others did not.
     """
     start = perf_counter()
     console = console if console is not None and comm.rank == 0 else Console(quiet=True)
     on_first_rank(comm, lambda: RunFolder.check(out, overwrite or resume))
-    try:
-        body = build(scene, comm, dict(options or {}))
-    except PETSc.Error as error:
-        raise SceneError(f"solver.petsc: {_told_by(error)}") from error
+    body = build(scene, comm, dict(options or {}))
     recording = recording_of(body)
     with _locked(out, comm):
         folder = RunFolder(out, recording.columns, recording.profile_columns)
@@ -110,7 +107,7 @@ def _walk(body: Body, recorder: Recorder, checkpoints: Checkpoints, console: Con
     except (OutputError, SteppingError, InterruptedRunError, PETSc.Error) as error:
         if not roll.is_complete():
             raise FailedAloneError(str(error)) from error
-        ledger.reason = _told_by(error) if isinstance(error, PETSc.Error) else str(error)
+        ledger.reason = told_by(error) if isinstance(error, PETSc.Error) else str(error)
         if not isinstance(error, OutputError):
             _save(checkpoints, recorder)
     try:
@@ -132,11 +129,6 @@ def _save(checkpoints: Checkpoints, recorder: Recorder) -> None:
             checkpoints.save(recorder.memento())
         except OutputError as failure:
             recorder.warn_once(f"no checkpoint could be written: {failure}")
-
-
-def _told_by(error: PETSc.Error) -> str:
-    """What PETSc says, without the trace of calls that it puts first."""
-    return f"PETSc says: {str(error).splitlines()[-1].partition('] ')[2]}"
 
 
 def describe(body: Body, listed: list[Effect]) -> Table:

@@ -187,8 +187,8 @@ class Stepper:
                 raise SteppingError(f"the step from {travel:.9g} m failed: {solution.reason}")
             if step <= self.control.smallest:
                 raise SteppingError(
-                    f"the step from {travel:.9g} m failed at the smallest size, {step:.3g} m: {solution.reason}; "
-                    + self.solver.explanation()
+                    f"the step from {travel:.9g} m failed at the smallest size, {step:.3g} m: "
+                    + "; ".join(dict.fromkeys([solution.reason, self.solver.explanation()]))
                 )
             self.problem.roll_back()
             iterations += solution.iterations

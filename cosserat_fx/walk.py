@@ -56,7 +56,7 @@ def step_control(scene: Scene, size: float, branch: Branch) -> StepControl:
     asked, pressure = scene.stepping, -scene.initial.stress
     critical = scene.material.characteristic_void_ratios(pressure).e_c
     strain = STIFF_STRAINS * pressure / scene.material.stiffness_factor(pressure, critical)
-    stiff = min(FIRST_STEP, strain) * size
+    stiff = max(min(FIRST_STEP, strain) * size, asked.min_step or 0.0)
     return StepControl(
         first=asked.first_step or min(stiff, asked.max_step or float("inf")),
         stiff=stiff,

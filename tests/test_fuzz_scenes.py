@@ -106,8 +106,8 @@ HOSTILE = {
     "more boundaries than bodies have": (
         PLANE,
         "boundaries",
-        {f"b{number}": {} for number in range(10_001)},
-        "boundaries = 10001: must not be more than 10000",
+        {f"b{number}": {} for number in range(1_001)},
+        "boundaries = 1001: must not be more than 1000",
     ),
 }
 

@@ -12,7 +12,6 @@ from cosserat_fx.results import read_run
 FOLDER = "cosserat_fx.output.folder:RunFolder"
 PLACES = {
     "before the first summary takes its place": "on_call('os:replace', 1, send(9), given='run.json')",
-    "between row and checkpoint": f"on_call('{FOLDER}.append_history', 4, send(9), after=True)",
     "between field and list of fields": "on_call('os:replace', 1, send(9), given='layer.pvd')",
     "between its records and the disk": "on_call('cosserat_fx.checkpoints.file:_told', 2, send(9), after=True)",
     "between both names of a checkpoint": "on_call('os:replace', 1, send(9), after=True, given='previous')",
@@ -53,7 +52,7 @@ def test_without_a_checkpoint_the_run_begins_again(tmp_path: Path, undisturbed: 
     """The rows of the run that was killed do not stay, and the figures that it could not draw are made."""
     keys = [*SMALL[:-1], "output.checkpoints='off'"]
     folder = tmp_path / "run"
-    process = launch(folder, *keys, before="on_call('cosserat_fx.recorder:draw_all', 1, send(9))")
+    process = launch(folder, *keys, before="on_call('cosserat_fx.recorder:Recorder._draw', 1, send(9))")
     assert process.returncode == -signal.SIGKILL, process.stderr
     process = launch(folder, *keys)
     assert process.returncode == 0, process.stderr

@@ -33,7 +33,6 @@ def examine(file: Path) -> int:
 
 def _refuse_document_type(file: Path) -> None:
     """Read XML up to its first element, before which a document type would stand."""
-
     reached: list[str] = []
 
     def refuse(*declared: object) -> None:

@@ -175,24 +175,6 @@ def leg_lengths(given: Sequence[Given], d50: float) -> tuple[float, ...]:
     return tuple((changes + d50 * (changes == 0)).tolist())
 
 
-def _targets(history: float | tuple[float, ...], legs: int) -> tuple[float, ...]:
-    """Returns the values at the ends of the legs."""
-    return history if isinstance(history, tuple) else (history,) * legs
-
-
-def motion(history: History, lengths: Sequence[float]) -> tuple[float, ...]:
-    """Returns the values of a displacement or rotation at the start (0) and at the end of each leg.
-
-    Args:
-        history: the motion.
-        lengths: length of each leg, m.
-    """
-    if isinstance(history, HistoryTable):
-        corners = [0.0, *accumulate(lengths)]
-        return tuple(float(value) for value in np.interp(corners, history.travel, history.value))
-    return (0.0, *_targets(history, len(lengths)))
-
-
 def check_motions_start_at_rest(given: Sequence[Given]) -> None:
     """Refuses tables that move something at the start.
 
@@ -218,16 +200,20 @@ def largest_range(groups: Sequence[Sequence[History]], lengths: Sequence[float])
         groups: the displacements prescribed along each direction.
         lengths: length of each leg, m.
     """
-    largest = 0.0
+    corners, largest = np.array([0.0, *accumulate(lengths)]), 0.0
     for group in groups:
         held = [it for it in group if isinstance(it, float)] + [0.0] * (len(group) == 1)
-        low, high = (np.full(len(lengths) + 1, extreme(held, default=rest)) for extreme, rest in _EXTREMES)
+        low, high = (np.full(len(corners), extreme(held, default=rest)) for extreme, rest in _EXTREMES)
         if held:
             low[0] = high[0] = 0.0
         for history in group:
-            if not isinstance(history, float):
-                values = motion(history, lengths)
-                low, high = np.minimum(low, values), np.maximum(high, values)
+            if isinstance(history, float):
+                continue
+            if isinstance(history, HistoryTable):
+                values = np.interp(corners, history.travel, history.value)
+            else:
+                values = np.array([0.0, *history])
+            low, high = np.minimum(low, values), np.maximum(high, values)
         with np.errstate(over="ignore"):
             largest = max(largest, float(np.max(high - low)) if group else 0.0)
     return largest

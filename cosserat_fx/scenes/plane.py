@@ -158,6 +158,8 @@ class Boundary(Table):
         if not isinstance(table, dict):
             return table
         extras = {key: value for key, value in table.items() if key not in cls.model_fields}
+        if not extras:
+            return table
         unknown = [
             InitErrorDetails(type="extra_forbidden", loc=(key,), input=value)
             for key, value in extras.items()

@@ -25,7 +25,7 @@ from cosserat_fx.material import AdmissibilityError
 
 MAX_CELLS: Final = 10_000_000
 MAX_LIST: Final = 100_000
-MAX_NAMED: Final = 10_000
+MAX_NAMED: Final = 1_000
 """Number of boundaries, and of points, that a scene may have."""
 ROUNDING: Final = 1e-9
 """Differences of fractions, of places on the path and of places in the body that are taken for rounding, relative."""
