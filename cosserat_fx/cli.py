@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 BAD_INPUT = 2
 STOPPED = 3
-_BY_KEYBOARD = 130
+BY_KEYBOARD = 130
 _CALLS_SHOWN = 6
 
 app = typer.Typer(
@@ -65,6 +65,9 @@ def run(
         ledger = run_scene(loaded, out, overwrite=overwrite, resume=resume, console=console, options=options)
     except (OutputError, SceneError) as error:
         _refuse(str(error))
+    except KeyboardInterrupt:  # where the run does not wait for it: while it is set up
+        print("cosserat-fx: interrupted", file=sys.stderr)
+        raise typer.Exit(BY_KEYBOARD) from None
     for warning in ledger.warnings:
         print(f"warning: {warning}", file=sys.stderr)
     if ledger.answer:
@@ -153,9 +156,7 @@ def main() -> None:
         except SystemExit as end:
             if not end.code or roll.is_complete():
                 raise
-            status = end.code if isinstance(end.code, int) else 1
-            interrupted = f"cosserat-fx: interrupted on rank {ranks.rank}\n" if status == _BY_KEYBOARD else ""
-            _end_all(ranks, said.getvalue() + interrupted, status)
+            _end_all(ranks, said.getvalue(), end.code if isinstance(end.code, int) else 1)
         except Exception as error:
             message = _internal_error(error, ranks.rank)
             if isinstance(error, FailedAloneError) or not roll.is_complete():

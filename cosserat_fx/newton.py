@@ -32,8 +32,9 @@ _DEFAULTS: dict[str, PetscOption] = {
 _MUMPS_DETERMINANT = 33
 _ADAPTING_ITERATIONS = 2
 _RECHECKS = 3
-_PATIENCE = 8
-"""Iterations over which the out-of-balance forces are to fall to a half, or Newton's method is going nowhere."""
+_PATIENCE, _PATIENCE_AT_THE_END = 8, 2
+"""Iterations over which the out-of-balance forces are to fall to a half, or Newton's method goes nowhere: on the way,
+and where they are so small that rounding may be all there is to them."""
 _ROUNDING = 1e-6
 """Out-of-balance forces, relative to the internal ones, beyond which rounding is not suspected."""
 _PREFIX = "cosserat_"
@@ -108,6 +109,7 @@ class NewtonSolver:
         self._failure: Failure | None = None
         self._frozen = self._asked_for_determinant = False
         self._norms: list[float] = []
+        self._rounding = 0.0
         self.before_evaluation: Callable[[], None] = lambda: None
         self._evaluated = problem.vector.duplicate()
         self._x = problem.vector.duplicate()
@@ -127,6 +129,7 @@ class NewtonSolver:
         problem.state.restart_substeps()
         scale = problem.force_scale()
         self.snes.setTolerances(atol=self._tolerance * scale)
+        self._rounding = _ROUNDING * scale
         self._x.array_w[:] = problem.unknown.x.array[: self._x.getLocalSize()]
         self._frozen, iterations = False, 0
         for _ in range(_RECHECKS):
@@ -258,7 +261,7 @@ class NewtonSolver:
         in the forces' change when every unknown is changed in its last digit.
         """
         problem = self._problem
-        if self.snes.getFunctionNorm() > _ROUNDING * problem.force_scale():
+        if self.snes.getFunctionNorm() > self._rounding:
             return False
         forces = []
         for change in (0.0, np.finfo(float).eps):
@@ -317,7 +320,8 @@ class NewtonSolver:
             return reasons.DIVERGED_FNORM_NAN
         if forces <= snes.getTolerances()[1]:
             return reasons.CONVERGED_FNORM_ABS
-        if iteration > _PATIENCE and forces > self._norms[-1 - _PATIENCE] / 2:
+        patience = _PATIENCE if forces > self._rounding else _PATIENCE_AT_THE_END
+        if iteration > patience and forces > self._norms[-1 - patience] / 2:
             return reasons.DIVERGED_DTOL
         return reasons.ITERATING
 

@@ -20,29 +20,23 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import NamedTuple
 
 from cosserat_fx.newton import NewtonSolver, Solution
 from cosserat_fx.problem import Problem
 from cosserat_fx.state import QuadratureState
 
-_STEPS = 100
+_STEPS = 300
 _ROUGHNESS = 30.0
 """By which the local tolerance is raised on the way, which is no answer."""
 _AIM, _FALL, _NOTHING = 1e-5, 1e-4, 2e-9
-"""Out-of-balance forces from where Newton's method goes on: relative to the internal ones and to those at the start,
+"""Out-of-balance forces from where Newton's method is tried: relative to the internal ones and to those at the start,
 and what is too small for either."""
+_CLOSER = 0.01
+"""Factor of the aim where Newton's method was tried too early."""
 _LARGEST_RISE = 3.0
 """Factor of the out-of-balance forces over a step of the motion beyond which it is taken again, shorter."""
 _SHORTER, _LONGER, _MUCH_LONGER = 4.0, 0.5, 0.1
 _LARGEST_DAMPING = 1e4
-
-
-class _Way(NamedTuple):
-    """How a motion went: whether it came to rest, and after how many solutions of linear systems."""
-
-    rests: bool
-    iterations: int
 
 
 def relax(problem: Problem, solver: NewtonSolver, largest_strain: float) -> Solution | None:
@@ -57,40 +51,78 @@ def relax(problem: Problem, solver: NewtonSolver, largest_strain: float) -> Solu
         The equilibrium, which the problem then holds; None where the motion does not come to rest.
     """
     problem.roll_back()
-    with _roughly(problem.state):
-        way = _move(problem, solver, largest_strain)
-    return solver.solve().after(way.iterations) if way.rests else None
-
-
-def _move(problem: Problem, solver: NewtonSolver, largest_strain: float) -> _Way:
-    """Follow the motion; the steps are as long as the forces fall, and short enough to see what is unstable."""
     if not solver.predict() or problem.largest_strain() > largest_strain:
-        return _Way(False, 1)
-    stiffness = problem.matrix.copy()
-    scale, forces = problem.force_scale(), solver.out_of_balance()
-    unknown, move = problem.unknown.x.array, problem.unknown.copy()
-    aim, damping = max(min(_AIM * scale, _FALL * forces), _NOTHING * scale), 1.0
-    step = 0
-    while forces > aim and step < _STEPS and damping < _LARGEST_DAMPING:
-        step += 1
-        if not solver.factorise(stiffness, damping):
-            damping *= _SHORTER
-            continue
-        move.x.array[: problem.vector.getLocalSize()] = problem.vector.array_r
-        solver.apply_inverse(move)
+        return None
+    motion = _Motion(problem, solver)
+    smallest, iterations = _NOTHING * motion.scale, 0
+    aim = max(min(_AIM * motion.scale, _FALL * motion.forces), smallest)
+    while motion.comes_to(aim):
+        resting = problem.unknown.x.array.copy()
+        solution = solver.solve()
+        iterations += solution.iterations
+        if solution.converged:
+            return solution.after(motion.steps + iterations - solution.iterations)
+        if aim == smallest:
+            return None
+        problem.unknown.x.array[:] = resting
+        aim = max(_CLOSER * aim, smallest)
+    return None
+
+
+class _Motion:
+    """The motion, from the unknown at hand on.
+
+    Attributes:
+        scale: norm of the internal forces at the start.
+        forces: norm of the out-of-balance forces where the body is.
+        steps: linear systems solved so far.
+    """
+
+    def __init__(self, problem: Problem, solver: NewtonSolver) -> None:
+        """Start from the linear answer, which was just found.
+
+        Args:
+            problem: its matrix is the stiffness of the law's linear part.
+            solver: of the problem.
+        """
+        self._problem, self._solver = problem, solver
+        self._stiffness = problem.matrix.copy()
+        self._move = problem.unknown.copy()
+        self._damping = 1.0
+        self.scale, self.steps = problem.force_scale(), 0
+        with _roughly(problem.state):
+            self.forces = solver.out_of_balance()
+
+    def comes_to(self, aim: float) -> bool:
+        """Go on until the out-of-balance forces are small; False where they do not become so."""
+        with _roughly(self._problem.state):
+            self.forces = self._solver.out_of_balance()
+            while self.forces > aim:
+                if self.steps == _STEPS or self._damping > _LARGEST_DAMPING or not self.forces < float("inf"):
+                    return False
+                self._step()
+        return True
+
+    def _step(self) -> None:
+        """One step, as long as the forces fall, and short enough to see what is unstable."""
+        problem, solver, unknown = self._problem, self._solver, self._problem.unknown.x.array
+        self.steps += 1
+        if not solver.factorise(self._stiffness, self._damping):
+            self._damping *= _SHORTER
+            return
+        self._move.x.array[: problem.vector.getLocalSize()] = problem.vector.array_r
+        solver.apply_inverse(self._move)
         before = unknown.copy()
-        unknown -= move.x.array
+        unknown -= self._move.x.array
         moved = solver.out_of_balance()
-        if moved > _LARGEST_RISE * forces:
+        if moved > _LARGEST_RISE * self.forces:
             unknown[:] = before
             solver.out_of_balance()
-            damping *= _SHORTER
-            continue
-        if moved < forces:
-            damping *= min(max(moved / forces, _MUCH_LONGER), _LONGER)
-        forces = moved
-    stiffness.destroy()
-    return _Way(forces <= aim, step)
+            self._damping *= _SHORTER
+            return
+        if moved < self.forces:
+            self._damping *= min(max(moved / self.forces, _MUCH_LONGER), _LONGER)
+        self.forces = moved
 
 
 @contextmanager

@@ -122,6 +122,8 @@ class Stepper:
     """Part of the last step over which the body is let move to another equilibrium."""
     TRIALS = 2
     """Attempts at a first step before it is cut to the stiff travel."""
+    MANY_SUBSTEPS = 30
+    """Mean number of local substeps in the linear answer to a first step of the user's beyond which it is cut."""
     LARGEST_STRAIN = 1.0
     """Increment of a point in the linear answer to a step beyond which the step is not attempted."""
     NO_STRAIN = 1e-10
@@ -265,11 +267,23 @@ class Stepper:
             return Solution(
                 False, iterations, f"a point would be strained by more than {self.LARGEST_STRAIN:g}", np.inf
             )
+        if self.last is None and step > self.control.stiff and self._substeps() > self.MANY_SUBSTEPS:
+            reason = f"its points would need more than {self.MANY_SUBSTEPS} local substeps each"
+            return Solution(False, iterations, reason, np.inf)
         solution = self.solver.solve().after(iterations)
         if solution.converged or solution.hopeless or self.last is not None or step > self._longest_motion():
             return solution
         moved = self._move()
         return moved.after(solution.iterations) if moved else solution
+
+    def _substeps(self) -> float:
+        """Mean number of local substeps that the points ask for in the linear answer to a step."""
+        state, comm = self.problem.state, self.problem.comm
+        state.restart_substeps()
+        if not np.isfinite(self.solver.out_of_balance()):
+            return np.inf
+        own = state.substeps[state.points]
+        return float(comm.allreduce(own.sum()) / comm.allreduce(len(own)))
 
     def _move(self) -> Solution | None:
         """Let the body move to an equilibrium; None where it finds none."""

@@ -31,7 +31,7 @@ FAULTS = {
     ),
     "Ctrl-C after all else is done": (
         "on_call('cosserat_fx.recorder:Recorder.finish', 1, throw(KeyboardInterrupt), rank=1)",
-        "cosserat-fx: interrupted on rank 1",
+        "cosserat-fx: interrupted",
     ),
 }
 """What happens on one of two ranks, and what is told."""
@@ -44,7 +44,7 @@ def test_all_end_and_go_on(tmp_path: Path, undisturbed_on_two: Path) -> None:
         process = launch(folder, ranks=2, before=f"{IMPATIENTLY}\n{IMPORTS}\n{injected}")
         assert process.returncode not in (0, 3), f"{fault}: {process.stderr}"
         told = [line for line in process.stderr.splitlines() if line.startswith("cosserat-fx: ")]
-        assert told == ([] if message is None else [message]), fault
+        assert told == ([] if message is None else [message]), f"{fault}: {process.stderr}"
     process = launch(folder, ranks=2)
     assert process.returncode == 0, process.stderr
     assert_nothing_lost(folder, undisturbed_on_two)

@@ -59,8 +59,12 @@ def write(
     def begin() -> int:
         layout = {"format": FORMAT, "records": count, "record_bytes": records.itemsize, "checksum": sum_of_records}
         text = json.dumps(header | layout, allow_nan=False).encode()
+        head = _MAGIC + _LENGTHS.pack(len(text), zlib.crc32(text)) + text
         try:
-            return file.write_bytes(_MAGIC + _LENGTHS.pack(len(text), zlib.crc32(text)) + text)
+            file.write_bytes(head)
+            with file.open("rb+") as stream:  # what MPI says of a full disk is not for everybody
+                os.posix_fallocate(stream.fileno(), 0, len(head) + count * records.itemsize)
+            return len(head)
         except OSError as error:
             raise OutputError(f"{file}: cannot be written: {error.strerror or error}") from error
 
