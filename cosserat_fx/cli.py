@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import os
 import sys
+import time
 import traceback
 from contextlib import ExitStack, redirect_stderr, redirect_stdout
 from pathlib import Path
@@ -170,6 +171,7 @@ def _end_all(ranks: MPI.Intracomm, message: str, status: int) -> NoReturn:
     """End all ranks, which would wait for this one for ever, after it has told why."""
     sys.stdout.flush()
     print(message, end="", file=sys.__stderr__, flush=True)
+    time.sleep(0.3)  # for the launcher to pass it on, which Open MPI's does not any more afterwards
     ranks.Abort(status)
     os._exit(status)  # MPICH's launcher ends the ranks, but not at once
 

@@ -267,7 +267,7 @@ class Stepper:
             return Solution(
                 False, iterations, f"a point would be strained by more than {self.LARGEST_STRAIN:g}", np.inf
             )
-        if self.last is None and step > self.control.stiff and self._substeps() > self.MANY_SUBSTEPS:
+        if self.last is None and step > 2 * self.control.stiff and self._substeps() > self.MANY_SUBSTEPS:
             reason = f"its points would need more than {self.MANY_SUBSTEPS} local substeps each"
             return Solution(False, iterations, reason, np.inf)
         solution = self.solver.solve().after(iterations)

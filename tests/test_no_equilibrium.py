@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from ranks import on_ranks
 
 from cosserat_fx import geometry
 from cosserat_fx._compat import MPI
@@ -25,11 +26,13 @@ SAND = Material.named("paper-sand")
 PRESSURE = 100e3
 
 
-def layer(height: float = 0.01, cells: int = 20, void_ratio: float = 0.6) -> Problem:
-    body = geometry.layer(height, cells, MPI.COMM_SELF)
+def layer(*, void_ratio: float = 0.6, moved: float = 0.0) -> Problem:
+    """One centimetre high; carried along as a whole, at once, where asked for (m)."""
+    body = geometry.layer(0.01, 20, MPI.COMM_SELF)
     conditions: list[Condition] = [
-        *(Prescribed("bottom", field, lambda travel: 0.0) for field in ("u1", "u2", "w")),
-        Prescribed("top", "u1", lambda travel: travel),
+        Prescribed("bottom", "u1", lambda travel: moved),
+        *(Prescribed("bottom", field, lambda travel: 0.0) for field in ("u2", "w")),
+        Prescribed("top", "u1", lambda travel: moved + travel),
         Prescribed("top", "w", lambda travel: 0.0),
         traction("top", lambda travel: (0.0, -PRESSURE)),
     ]
@@ -69,6 +72,60 @@ def test_a_body_is_not_moved_over_steps_that_strain_it_too_much() -> None:
     problem = layer()
     problem.apply(1e-4)
     assert relax(problem, NewtonSolver(problem), 1e-3) is None
+
+
+def test_what_rounding_makes_is_not_asked_of_newton() -> None:
+    """A layer that is carried along by 10 m has lost the digits in which its forces would be in balance to 1e-9."""
+    carried = layer(moved=10.0)
+    solver = NewtonSolver(carried)
+    carried.apply(1e-5)
+    assert solver.predict()
+    solution = solver.solve()
+    assert solution.converged
+    assert 1e-9 < solution.residual < 1e-6
+
+    resting = layer()
+    resting.apply(1e-5)
+    solver = NewtonSolver(resting)
+    assert solver.predict()
+    assert solver.solve().residual < 1e-9
+    here, there = (problem.state.forces.x.array.reshape(-1, 7)[:, 3] for problem in (carried, resting))
+    np.testing.assert_allclose(here, there, rtol=1e-4)
+
+
+MOVED = """
+import sys
+from cosserat_fx import stepping
+from cosserat_fx._compat import MPI
+from cosserat_fx.layer import build
+from cosserat_fx.scene import parse_scene
+
+relax, resting = stepping.relax, []
+def count(*arguments):
+    moved = relax(*arguments)
+    resting.append(moved is not None)
+    return moved
+stepping.relax = count
+dense = {"geometry": {"height": 0.004, "cells": 80}, "material": {"constants": "paper-sand", "phi_c": 45, "a_c": 0.5},
+         "initial": {"stress": -10.0, "void_ratio": 0.5125}, "stepping": {"max_steps": 30},
+         "walls": {"top": {"normal_stress": -10.0, "shear_displacement": 0.01}}}
+layer = build(parse_scene(dense), MPI.COMM_WORLD)
+try:
+    for step in layer.stepper:
+        pass
+except stepping.SteppingError:
+    pass
+force = layer.problem.reactions()["top", "u1"]
+if MPI.COMM_WORLD.rank == 0:
+    print(sum(resting), step.number, step.travel, force)
+"""
+
+
+def test_a_dense_layer_moves_beyond_its_peak_on_any_number_of_ranks() -> None:
+    """Of very dense sand at 10 Pa, whose path of equilibria turns back; to the same state."""
+    one, two = (np.array(on_ranks(ranks, MOVED).split(), dtype=float) for ranks in (1, 2))
+    assert one[0] > 0
+    np.testing.assert_allclose(two, one, rtol=1e-7)
 
 
 def test_too_little_memory_ends_the_run_at_once_and_is_told_in_words() -> None:

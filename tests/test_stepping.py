@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from layers import scene
+from layers import SAND, scene
 
 from cosserat_fx._compat import MPI
 from cosserat_fx.layer import build, layer_path
@@ -30,6 +30,7 @@ class Bar:
         calls: what the stepper asked for, in order.
         guesses: the unknown as predicted from the last increment, in order.
         fails: tells from the travels at both ends of a step whether it fails.
+        substeps: what its one point asks for.
     """
 
     comm = MPI.COMM_SELF
@@ -40,6 +41,7 @@ class Bar:
         self.calls: list[str] = []
         self.guesses: list[float] = []
         self.fails: Callable[[float, float], bool] = lambda begin, end: False
+        self.substeps = 1
         self._strain, self._iterations = strain, iterations
         self._target = 0.0
 
@@ -56,6 +58,14 @@ class Bar:
 
     def largest_strain(self) -> float:
         return 0.0
+
+    @property
+    def state(self) -> SimpleNamespace:
+        substeps = np.array([self.substeps])
+        return SimpleNamespace(restart_substeps=lambda: None, substeps=substeps, points=np.array([0]))
+
+    def out_of_balance(self) -> float:
+        return 1.0
 
     def explanation(self) -> str:
         return "where it is thin"
@@ -240,6 +250,66 @@ def test_a_failed_step_is_rolled_back_halved_and_tried_again() -> None:
     assert next(walk).size == 0.25  # what just failed is not tried again at once
 
 
+def test_a_first_step_that_was_far_too_long_is_soon_cut_to_where_the_body_is_stiff() -> None:
+    bar = Bar()
+    bar.fails = lambda begin, end: end - begin > 1e-3
+    walk = bar.walk([0.0, 10.0], [], StepControl(first=1.0, stiff=1e-3, strain=np.inf))
+    first = next(walk)
+    assert (first.size, first.cutbacks) == (1e-3, 2)
+
+
+def test_a_first_step_that_the_law_would_have_to_cut_small_is_not_even_tried() -> None:
+    """Unless it is one that the program chose."""
+    bar = Bar()
+    bar.substeps = 100
+    walk = bar.walk([0.0, 10.0], [], StepControl(first=1.0, stiff=0.01, strain=np.inf))
+    first = next(walk)
+    assert (first.size, first.iterations) == (0.01, 3)
+    assert bar.calls.count("solve") == 1
+
+
+def test_a_step_that_strains_a_point_too_much_is_not_even_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Bar, "largest_strain", lambda bar: bar._target)
+    bar = Bar()
+    first = next(bar.walk([0.0, 10.0], [], StepControl(first=3.0, strain=np.inf)))
+    assert first.size == 0.75
+    assert bar.calls.count("solve") == 1
+
+
+def test_a_body_is_let_move_over_a_step_that_was_cut(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not over one as long as the last, of which a half may do without."""
+    bar, moved = Bar(), []
+
+    def relax(problem: Any, solver: Any, largest_strain: float) -> Solution:
+        moved.append(bar._target - float(bar.committed.x.array[0]))
+        bar.unknown.x.array[0] = bar._target
+        return Solution(True, 40, "converged", 0.0)
+
+    monkeypatch.setattr("cosserat_fx.stepping.relax", relax)
+    bar.fails = lambda begin, end: begin == 3.0
+    steps = list(bar.walk([0.0, 10.0], [], StepControl(first=1.0, stiff=0.1, growth=1.0, strain=np.inf)))
+    assert moved == [0.5]
+    [cut] = [step for step in steps if step.cutbacks]
+    assert (cut.size, cut.cutbacks, cut.travel) == (0.5, 1, 3.5)
+    assert cut.iterations == 3 + 3 + 3 + 40
+
+
+@pytest.mark.parametrize(
+    ("pressure", "rolling", "first"),
+    [(100e3, 0.0125, 0.0025 * 0.04), (100e3, 0.25, 0.05 * 0.5e-3 / (2 * 0.25)), (10.0, 0.0, None)],
+)
+def test_a_layers_first_step_shows_its_stiff_response(pressure: float, rolling: float, first: float | None) -> None:
+    """0.25 % of shear, or a rotation of 0.05 at a wall, or four times the pressure over the stiffness at e_c."""
+    keys = (f"initial.stress={-pressure}", f"walls.top.normal_stress={-pressure}", f"walls.top.rolling={rolling}")
+    control = build(scene("medium_rough", *keys), MPI.COMM_SELF).stepper.control
+    if first is None:
+        critical = SAND.characteristic_void_ratios(pressure).e_c
+        first = 4 * pressure / SAND.stiffness_factor(pressure, critical) * 0.04
+        assert first < 0.0002 * 0.04
+    assert control.first == control.stiff == pytest.approx(first)
+    assert control.smallest == pytest.approx(1e-4 * first)
+
+
 def test_a_step_that_fails_at_the_smallest_size_ends_the_walk() -> None:
     bar = Bar()
     bar.fails = lambda begin, end: end > 2.5
@@ -255,6 +325,7 @@ def test_a_step_that_fails_at_the_smallest_size_ends_the_walk() -> None:
 def test_the_smallest_step_is_a_part_of_the_first_unless_it_is_given() -> None:
     assert StepControl(first=1.0).smallest == pytest.approx(1e-4)
     assert StepControl(first=1.0, smallest=0.1).smallest == 0.1
+    assert StepControl(first=1.0, stiff=1e-3).smallest == pytest.approx(1e-7)
 
 
 def test_a_walk_ends_after_as_many_steps_as_allowed() -> None:
