@@ -123,7 +123,7 @@ class Trial:
     """Kills runs of one case."""
 
     def __init__(self, case: Case, out: Path, dice: random.Random) -> None:
-        """Make the undisturbed run, twice: MUMPS on several ranks adds in the order in which messages arrive.
+        """Make the undisturbed run, twice, as two runs on several ranks may differ by rounding.
 
         Args:
             case: what is run.

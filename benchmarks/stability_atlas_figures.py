@@ -44,9 +44,9 @@ class _Map(NamedTuple):
 
 
 _MAPS: Final = (
-    _Map("endings", "scenes that reach the end (%)", "RdYlGn", Normalize(0.0, 100.0)),
+    _Map("endings", "scenes that reach the end (%)", "RdYlGn", Normalize(50.0, 100.0)),
     _Map("steps", "steps, median", "viridis", LogNorm(1.0, 1000.0)),
-    _Map("iterations", "Newton iterations, median", "viridis", LogNorm(10.0, 10_000.0)),
+    _Map("iterations", "Newton iterations, median", "viridis", LogNorm(1.0, 1000.0)),
     _Map("cutbacks", "cutbacks, median", "magma_r", Normalize(0.0, 20.0)),
 )
 
@@ -64,7 +64,8 @@ def draw_maps(entries: Sequence[Entry], folder: Path) -> None:
             for axes, (across, up) in zip(panels.flat, _PAIRS, strict=True):
                 _draw(axes, entries, _AXIS[across], _AXIS[up], shown)
             colours = ScalarMappable(shown.norm, shown.colours)
-            sheet.colorbar(colours, ax=panels, label=shown.title, extend="max", shrink=0.8)
+            beyond = "min" if shown.name == "endings" else "max"
+            sheet.colorbar(colours, ax=panels, label=shown.title, extend=beyond, shrink=0.8)
 
 
 def _draw(axes: Axes, entries: Sequence[Entry], across: Axis, up: Axis, shown: _Map) -> None:

@@ -20,7 +20,7 @@ from cosserat_fx.layer import Layer, build
 from cosserat_fx.scene import LayerScene, parse_scene
 from cosserat_fx.stepping import SteppingError
 
-MAX_SECONDS = 120
+MAX_SECONDS = 300
 MAX_STEPS = 20_000
 
 Ending = Literal["done", "stopped", "hung", "crashed"]

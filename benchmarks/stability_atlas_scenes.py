@@ -46,12 +46,12 @@ class Axis(NamedTuple):
 
 AXES: Final = (
     Axis("pressure", "pressure (Pa)", 10.0, 10e6, logarithmic=True),
-    Axis("density", "(e - e_d)/(e_i - e_d)", 0.005, 0.995),
-    Axis("rolling", "rolling f_r/f_u", 0.0, 0.25),
-    Axis("height", "height/d50", 8.0, 800.0, logarithmic=True),
-    Axis("fineness", "cells per d50", 0.2, 10.0, logarithmic=True),
-    Axis("a_c", "a_c", 0.5, 2.0),
-    Axis("phi_c", "phi_c (degrees)", 20.0, 45.0),
+    Axis("density", "$(e - e_d)/(e_i - e_d)$", 0.005, 0.995),
+    Axis("rolling", "rolling $f_r/f_u$", 0.0, 0.25),
+    Axis("height", "height/$d_{50}$", 8.0, 800.0, logarithmic=True),
+    Axis("fineness", "cells per $d_{50}$", 0.2, 10.0, logarithmic=True),
+    Axis("a_c", "$a_c$", 0.5, 2.0),
+    Axis("phi_c", r"$\varphi_c$ (degrees)", 20.0, 45.0),
     Axis("target", "target (m)", 1e-5, 0.03, logarithmic=True),
 )
 """The sides that make a scene; the walk is one more, of three places."""

@@ -115,13 +115,12 @@ def test_an_error_nobody_foresaw_is_not_hidden(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_options_with_one_dash_go_to_petsc(call: Call, tmp_path: Path) -> None:
-    """One Newton iteration is not enough; the monitor prints each of them; a value may be negative."""
+    """The monitor prints each Newton iteration, of which no attempt has a second one; a value may be negative."""
     tried = ("-snes_max_it", "1", "-snes_monitor", "-snes_divergence_tolerance", "-1.0")
-    coarse = quick("stepping.min_step=1e-4")
-    outcome = call("run", demo("medium_rough"), "--out", tmp_path / "run", *coarse, *tried)
-    assert outcome.status == STOPPED
-    assert "diverged max it" in outcome.err
+    outcome = call("run", demo("medium_rough"), "--out", tmp_path / "run", *quick("stepping.min_step=1e-4"), *tried)
+    assert outcome.status in (DONE, STOPPED)
     assert "1 SNES Function norm" in outcome.out
+    assert "2 SNES Function norm" not in outcome.out
 
 
 def test_options_of_the_scene_go_to_petsc_and_the_command_line_before_them(call: Call, tmp_path: Path) -> None:
