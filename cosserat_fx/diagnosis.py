@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from cosserat_fx.hypoplasticity import Status
 from cosserat_fx.layout import Layout
-from cosserat_fx.problem import Problem
+from cosserat_fx.problem import Failure, Problem
 from cosserat_fx.typing import Array
 
-_NEAR_E_D = 0.02
-"""Part of the way from e_d to e_i within which a void ratio is told to be next to e_d."""
+_NEAR = 0.02
+"""Part of the way from e_d to e_i within which a void ratio is told to be next to one of them."""
+_TELLING = {Status.DENSER_THAN_E_D, Status.TENSION, Status.RADICAND}
+"""Failures of the law that need no word on the state."""
 _DIRECTIONS = 90
 
 
@@ -29,11 +34,29 @@ def imbalance(problem: Problem) -> str:
         if len(own) and own.max() > largest:
             largest, place = float(own.max()), part.coordinates[int(own.argmax()), : len(place)]
     place = max(problem.comm.allgather((largest, place.tolist())))[1]
-    distances = np.linalg.norm(problem.state.coordinates - place, axis=1)
+    where = ", ".join(f"{x:.6g}" for x in place)
+    return f"the forces are out of balance most at {where} m, where {_state_at(problem, place)}"
+
+
+def failure_with_state(problem: Problem, failure: Failure) -> str:
+    """Tell why and where the law failed, and the committed state of the sand there. Collective.
+
+    Args:
+        problem: to which it happened.
+        failure: what happened.
+    """
+    if failure.status in _TELLING:
+        return str(failure)
+    return f"{failure}, where {_state_at(problem, failure.where)}"
+
+
+def _state_at(problem: Problem, place: Sequence[float]) -> str:
+    """What is special about the committed state next to a place (m)."""
+    distances = np.linalg.norm(problem.state.coordinates - np.asarray(place), axis=1)
     nearest = int(distances.argmin()) if len(distances) else -1
     told = (float(distances[nearest]), _state(problem, nearest)) if nearest >= 0 else (np.inf, "")
-    where = ", ".join(f"{x:.6g}" for x in place)
-    return f"the forces are out of balance most at {where} m, where {min(problem.comm.allgather(told))[1]}"
+    text: str = min(problem.comm.allgather(told))[1]
+    return text
 
 
 def _state(problem: Problem, point: int) -> str:
@@ -51,7 +74,9 @@ def _state(problem: Problem, point: int) -> str:
     void_ratio = float(state.e_n[row])
     if void_ratio > e_i:
         return f"the void ratio {void_ratio:.4g} exceeds e_i = {e_i:.4g}, the loosest state the law describes"
-    if void_ratio - e_d < _NEAR_E_D * (e_i - e_d):
+    if e_i - void_ratio < _NEAR * (e_i - e_d):
+        return f"the void ratio {void_ratio:.4g} is next to e_i = {e_i:.4g}, the loosest state the law describes"
+    if void_ratio - e_d < _NEAR * (e_i - e_d):
         return f"the void ratio {void_ratio:.4g} is next to e_d = {e_d:.4g}, the densest state the law describes"
     tangent = state.tangent.x.array.reshape(-1, len(layout.strain_slots), layout.n_inputs)[row]
     if layout.polar and not is_elliptic(tangent, layout):

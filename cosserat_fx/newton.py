@@ -15,7 +15,7 @@ from weakref import WeakMethod
 import numpy as np
 
 from cosserat_fx._compat import MPI, PETSc, dolfinx
-from cosserat_fx.diagnosis import imbalance
+from cosserat_fx.diagnosis import failure_with_state, imbalance
 from cosserat_fx.linear_failure import linear_failure
 from cosserat_fx.problem import Failure, Problem
 
@@ -252,7 +252,8 @@ class NewtonSolver:
         """Where the forces are out of balance most at the unknown at hand, or why the law does not reach it."""
         if np.isfinite(self.out_of_balance()):
             return imbalance(self._problem)
-        return str(self._failure)
+        assert self._failure is not None
+        return failure_with_state(self._problem, self._failure)
 
     def _is_rounding(self) -> bool:
         """Whether the out-of-balance forces at the last iterate are no more than rounding of the unknown makes.

@@ -188,9 +188,10 @@ class Stepper:
             if solution.hopeless:
                 raise SteppingError(f"the step from {travel:.9g} m failed: {solution.reason}")
             if step <= self.control.smallest:
+                told, why = solution.reason, self.solver.explanation()
                 raise SteppingError(
                     f"the step from {travel:.9g} m failed at the smallest size, {step:.3g} m: "
-                    + "; ".join(dict.fromkeys([solution.reason, self.solver.explanation()]))
+                    + (why if why.startswith(told) else f"{told}; {why}")
                 )
             self.problem.roll_back()
             iterations += solution.iterations

@@ -12,6 +12,7 @@ import pytest
 from console import BAD_INPUT, DONE, STOPPED, Call
 from faults import PLAIN, SLOWLY, arguments, assert_nothing_lost, rows, started, wait_for_row
 
+from cosserat_fx._compat import PETSc
 from cosserat_fx.newton import NewtonSolver
 from cosserat_fx.problem import Problem
 from cosserat_fx.results import read_run
@@ -99,9 +100,9 @@ def starve(solver: NewtonSolver) -> None:
     ksp.setTolerances(rtol=1e-12, max_it=1)
 
 
-def limit(solver: NewtonSolver) -> None:
-    """SNES may not iterate."""
-    solver.snes.setTolerances(max_it=0)
+def discourage(solver: NewtonSolver) -> None:
+    """SNES gives up at once."""
+    solver.snes.setConvergenceTest(lambda *_: PETSc.SNES.ConvergedReason.DIVERGED_DTOL)
 
 
 def blind(solver: NewtonSolver) -> None:
@@ -115,7 +116,7 @@ def blind(solver: NewtonSolver) -> None:
     solver._problem.assemble_jacobian = assemble_nothing  # type: ignore[method-assign]
 
 
-@pytest.mark.parametrize("sabotage", [starve, limit, blind])
+@pytest.mark.parametrize("sabotage", [starve, discourage, blind])
 def test_solvers_that_fail_end_a_run_that_goes_on(
     sabotage: Sabotage, tmp_path: Path, call: Call, monkeypatch: pytest.MonkeyPatch, undisturbed: Path
 ) -> None:

@@ -11,12 +11,13 @@ from ranks import on_ranks
 from cosserat_fx import geometry
 from cosserat_fx._compat import MPI
 from cosserat_fx.conditions import Condition, Prescribed, traction
-from cosserat_fx.diagnosis import imbalance, is_elliptic
+from cosserat_fx.diagnosis import failure_with_state, imbalance, is_elliptic
+from cosserat_fx.hypoplasticity import Status
 from cosserat_fx.layer import build
 from cosserat_fx.layout import layout
 from cosserat_fx.material import Material
 from cosserat_fx.newton import NewtonSolver
-from cosserat_fx.problem import Problem
+from cosserat_fx.problem import Failure, Problem
 from cosserat_fx.relaxation import relax
 from cosserat_fx.scene import LayerScene, parse_scene
 from cosserat_fx.stepping import SteppingError
@@ -176,6 +177,15 @@ def test_the_state_is_told_where_the_forces_are_out_of_balance(void_ratio: float
     told = imbalance(problem)
     assert told.startswith(f"the forces are out of balance most at {pulled.coordinates[node, 0]:.6g} m, where")
     assert cause in told
+
+
+def test_a_law_that_fails_for_no_reason_of_its_own_tells_the_state() -> None:
+    """Sand next to e_d whose local iteration stops; one that fell below e_d has said it all."""
+    problem = layer(void_ratio=0.475)
+    stopped = failure_with_state(problem, Failure(Status.LOCAL_NEWTON, (0.00225,)))
+    assert stopped.startswith("the local Newton iteration did not converge at 0.00225 m, where the void ratio 0.475 is")
+    fallen = Failure(Status.DENSER_THAN_E_D, (0.00225,))
+    assert failure_with_state(problem, fallen) == str(fallen)
 
 
 def test_the_laws_linear_part_is_elliptic_and_a_softening_shear_is_not() -> None:
