@@ -295,7 +295,8 @@ class NewtonSolver:
         """Whether the determinant of the matrix factorised last is not negative, or unknown."""
         if not self.sees_branches:
             return True
-        return bool(self.snes.getKSP().getPC().getFactorMatrix().getMumpsRinfog(12) >= 0)
+        determinant = self.snes.getKSP().getPC().getFactorMatrix().getMumpsRinfog(12)
+        return bool(self._problem.comm.bcast(determinant) >= 0)  # MUMPS promises it on the first rank alone
 
     def _residual(self, snes: PETSc.SNES, x: PETSc.Vec, b: PETSc.Vec) -> None:
         """Residual callback; a state that cannot be reached has an infinite one."""

@@ -35,9 +35,10 @@ def change(base: dict[str, Any], changes: Mapping[str, object]) -> dict[str, Any
         table = tables
         for parent in parents:
             table = table.setdefault(parent, {})
-        table[last] = value
         if value is ABSENT:
-            del table[last]
+            table.pop(last, None)
+        else:
+            table[last] = copy.deepcopy(value)
     return tables
 
 
