@@ -87,7 +87,8 @@ class Checkpoints:
             self._write(notes)
         finally:
             self._last = perf_counter()
-            self._spent += self._last - begin
+            self._cost = self._last - begin
+            self._spent += self._cost
 
     def _write(self, notes: dict[str, Any]) -> None:
         """Do what :meth:`save` does."""

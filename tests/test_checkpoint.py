@@ -363,7 +363,8 @@ def test_they_take_no_more_than_their_share_of_the_time(
         if checkpoints.due():
             checkpoints.save({})
             written += 1
-    assert 0.8 * SHARE < 2.0 * written / clock.now < SHARE + 2.0 / clock.now  # the first one is free
+            assert written == 1 or 2.0 * written <= SHARE * clock.now  # what the first one takes is not known before
+    assert 2.0 * (written + 1) > SHARE * (clock.now - 3.0)
 
 
 @pytest.mark.parametrize(("interval", "due"), [(0, [True] * 6), (2.5, [False, False, True] * 2), ("off", [False] * 6)])

@@ -217,12 +217,14 @@ class RunFolder:
             scene_digest: of the scene at hand.
 
         Raises:
-            OutputError: it holds a run, finished or not, of another scene.
+            OutputError: it holds a run of another scene, and no checkpoint, which would say so itself.
         """
+        if self.checkpoint.exists():
+            return False
         summary = _summary(self) or {}
-        if summary.get("scene_sha256", scene_digest) != scene_digest and not self.checkpoint.exists():
+        if summary.get("scene_sha256", scene_digest) != scene_digest:
             raise OutputError(f"output folder {self.path}: holds a run of another scene; --overwrite replaces it")
-        return summary.get("status") == "done" and not self.checkpoint.exists()
+        return summary.get("status") == "done"
 
     def settle(self) -> dict[str, int]:
         """Make sure that all rows are on the disk.
