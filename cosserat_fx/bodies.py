@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from cosserat_fx import layer, plane
 from cosserat_fx._compat import MPI, PETSc
-from cosserat_fx.form_cache import with_forms
 from cosserat_fx.newton import PetscOption
 from cosserat_fx.output.layer_recording import LayerRecording
 from cosserat_fx.output.plane_recording import PlaneRecording
@@ -26,15 +25,11 @@ def build(scene: Scene, comm: MPI.Intracomm, options: dict[str, PetscOption] | N
         SceneError: the scene does not fit its mesh, a file that it names cannot be used, the run would take more memory
             than there is, or PETSc refuses an option.
     """
-
-    def make() -> Body:
+    try:
         if isinstance(scene, LayerScene):
             return layer.build(scene, comm, options)
         assert isinstance(scene, PlaneScene)
         return plane.build(scene, comm, options)
-
-    try:
-        return with_forms(comm, make)
     except PETSc.Error as error:
         raise refused_by_petsc(error) from error
 

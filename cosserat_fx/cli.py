@@ -99,11 +99,12 @@ def check(
     from cosserat_fx.bodies import build
     from cosserat_fx.cost import expected_cost
     from cosserat_fx.effects import effects
+    from cosserat_fx.form_cache import with_forms
     from cosserat_fx.kernel_time import kernel_shares
     from cosserat_fx.run import describe
 
     try:
-        body = build(loaded, MPI.COMM_WORLD)
+        body = with_forms(MPI.COMM_WORLD, lambda: build(loaded, MPI.COMM_WORLD))
         listed = kernel_shares(effects(body), body, compiling=measure)
         cost = expected_cost(body)
     except SceneError as error:

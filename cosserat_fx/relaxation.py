@@ -54,17 +54,18 @@ def relax(problem: Problem, solver: NewtonSolver, largest_strain: float) -> Solu
     if not solver.predict() or problem.largest_strain() > largest_strain:
         return None
     motion = _Motion(problem, solver)
-    smallest, iterations = _NOTHING * motion.scale, 0
+    smallest, in_vain = _NOTHING * motion.scale, 0
     aim = max(min(_AIM * motion.scale, _FALL * motion.forces), smallest)
     while motion.comes_to(aim):
         resting = problem.unknown.x.array.copy()
         solution = solver.solve()
-        iterations += solution.iterations
         if solution.converged:
-            return solution.after(motion.steps + iterations - solution.iterations)
+            return solution.after(motion.steps + in_vain)
         if aim == smallest:
             return None
+        in_vain += solution.iterations
         problem.unknown.x.array[:] = resting
+        motion.look_again()
         aim = max(_CLOSER * aim, smallest)
     return None
 
@@ -90,13 +91,16 @@ class _Motion:
         self._move = problem.unknown.copy()
         self._damping = 1.0
         self.scale, self.steps = problem.force_scale(), 0
-        with _roughly(problem.state):
-            self.forces = solver.out_of_balance()
+        self.look_again()
+
+    def look_again(self) -> None:
+        """Evaluate the out-of-balance forces where the body is."""
+        with _roughly(self._problem.state):
+            self.forces = self._solver.out_of_balance()
 
     def comes_to(self, aim: float) -> bool:
         """Go on until the out-of-balance forces are small; False where they do not become so."""
         with _roughly(self._problem.state):
-            self.forces = self._solver.out_of_balance()
             while self.forces > aim:
                 if self.steps == _STEPS or self._damping > _LARGEST_DAMPING or not self.forces < float("inf"):
                     return False

@@ -14,6 +14,7 @@ from cosserat_fx._compat import MPI, PETSc
 from cosserat_fx.bodies import Body, build, recording_of, told_by
 from cosserat_fx.checkpoint import Checkpoints
 from cosserat_fx.effects import Effect
+from cosserat_fx.form_cache import with_forms
 from cosserat_fx.interruption import InterruptedRunError, Interruption
 from cosserat_fx.kernel_time import IN_KERNEL
 from cosserat_fx.newton import PetscOption
@@ -58,12 +59,16 @@ def run(
     start = perf_counter()
     console = console if console is not None and comm.rank == 0 else Console(quiet=True)
     on_first_rank(comm, lambda: RunFolder.check(out, overwrite or resume))
-    body = build(scene, comm, dict(options or {}))
-    recording = recording_of(body)
-    with _locked(out, comm):
+
+    def set_up() -> tuple[Body, RunFolder, Checkpoints, Recorder]:
+        body = build(scene, comm, dict(options or {}))
+        recording = recording_of(body)
         folder = RunFolder(out, recording.columns, recording.profile_columns)
         checkpoints = Checkpoints(folder, scene, body.stepper)
-        recorder = Recorder(body, recording, folder, start, checkpoints.scene_digest)
+        return body, folder, checkpoints, Recorder(body, recording, folder, start, checkpoints.scene_digest)
+
+    body, folder, checkpoints, recorder = with_forms(comm, set_up)
+    with _locked(out, comm):
         if resume and on_first_rank(comm, lambda: folder.is_done(checkpoints.scene_digest)):
             return on_first_rank(comm, lambda: Ledger.of(read_run(out).summary))
         going_on = checkpoints.load() if resume else None

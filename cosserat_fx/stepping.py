@@ -115,6 +115,11 @@ class Stepper:
         r = |d_eps - (h/h_old) d_eps_old| / |d_eps|     (root mean square over the quadrature points),
 
     which is proportional to the step size. Newton iterations have the second say.
+
+    Attributes:
+        position: where the walk stands.
+        last: its last increment, which the next step follows; None where there is none to follow. Both may be set to go
+            on from where another walk stood, with the problem's fields and state.
     """
 
     HARD_ITERATIONS = 8
@@ -145,9 +150,6 @@ class Stepper:
             corners: travel at the start and wherever the direction of loading changes, ascending (m).
             stations: further travels to be hit exactly (m).
             control: step sizes.
-
-        The walk stands at ``position`` with ``last`` as its last increment, if the next step may follow that; both may
-        be set to go on from where another walk stood, with the problem's fields and state.
         """
         self.problem, self.solver, self.control = problem, solver, control
         self._corners = list(corners)

@@ -1,7 +1,6 @@
 """The cache of compiled forms: marks of killed processes are removed, and what waited for them is done again."""
 
 import os
-from collections.abc import Callable
 from pathlib import Path
 from time import time
 
@@ -10,8 +9,11 @@ from planes import BASE, BIAXIAL
 from scenes import change
 
 from cosserat_fx import bodies
+from cosserat_fx import run as runs
 from cosserat_fx._compat import MPI, dolfinx
 from cosserat_fx.form_cache import PATIENCE, remove_abandoned, with_forms
+from cosserat_fx.output.recording import Recording
+from cosserat_fx.results import read_run
 from cosserat_fx.scene import parse_scene
 
 
@@ -65,13 +67,17 @@ def test_other_errors_are_not_tried_twice(monkeypatch: pytest.MonkeyPatch) -> No
     assert len(calls) == 1
 
 
-def test_bodies_are_built_with_that_patience(monkeypatch: pytest.MonkeyPatch) -> None:
-    seen: list[MPI.Intracomm] = []
+def test_a_run_is_set_up_again_where_it_waited_in_vain(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The forms of what observes the body as well as those of the body; nothing is in the folder twice."""
+    waited: list[bodies.Body] = []
 
-    def watched(comm: MPI.Intracomm, work: Callable[[], bodies.Body]) -> bodies.Body:
-        seen.append(comm)
-        return with_forms(comm, work)
+    def wait_once(body: bodies.Body) -> Recording:
+        if not waited:
+            waited.append(body)
+            raise TimeoutError("JIT compilation timed out")
+        return bodies.recording_of(body)
 
-    monkeypatch.setattr(bodies, "with_forms", watched)
-    bodies.build(parse_scene(change(BASE, BIAXIAL)), MPI.COMM_SELF)
-    assert seen == [MPI.COMM_SELF]
+    monkeypatch.setattr(runs, "recording_of", wait_once)
+    scene = parse_scene(change(BASE, BIAXIAL | {"stepping": {"max_steps": 1}, "output": {"figures": False}}))
+    ledger = runs.run(scene, tmp_path / "run", comm=MPI.COMM_SELF)
+    assert len(waited) == ledger.steps == len(read_run(tmp_path / "run").history["step"]) == 1
