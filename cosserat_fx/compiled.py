@@ -13,12 +13,17 @@ from numba import njit
 
 from cosserat_fx.typing import IntArray
 
-_INLINED = ("dense.py", "hypoplasticity.py", "material.py")
+_INLINED = ("dense.py", "elementary.py", "hypoplasticity.py", "material.py", "rows.py", "update.py")
 
 
 def inline[Function: Callable[..., Any]](function: Function) -> Function:
     """Decorator: compile a function into each of its compiled callers, where the callers' constants fold."""
     return cast(Function, njit(forceinline=True, error_model="numpy")(function))
+
+
+def kernel[Function: Callable[..., Any]](function: Function) -> Function:
+    """Decorator: compile a function once, for all of its compiled callers."""
+    return cast(Function, njit(error_model="numpy", nogil=True)(function))
 
 
 @cache

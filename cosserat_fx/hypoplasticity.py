@@ -1,4 +1,4 @@
-r"""The hypoplastic Cosserat rate law at one point, with its derivatives.
+r"""The hypoplastic Cosserat rate law, with its derivatives.
 
 Stress and couple stress are treated as one vector. With the mean grain diameter :math:`d_{50}`,
 the scaled state is :math:`y = (\sigma, \mu/d_{50})` and the scaled rate is
@@ -14,7 +14,11 @@ equations (1) and (2) of the source paper take one form,
 
 where :math:`L(W) y` holds the objective terms :math:`W\sigma - \sigma W` and :math:`W\mu - \mu W`.
 The Jacobian with respect to *y* is a diagonal, three outer products and *L*, which is how it is
-formed below. Every function is compiled into its caller, where the layout's tables are constants.
+formed below.
+
+Points are treated side by side in the lanes of a block: every quantity is a row of numbers, one for each lane, and the
+innermost loops run over lanes and do not branch, so that the compiler makes vector instructions of them. Every function
+is compiled into its caller, where the layout's tables and the places of the rows are constants.
 
 Sources: equations 1 to 7 of the source paper; the barotropy factor f_b from the consistency condition that
 isotropic compression along e_i stays on e_i.
@@ -23,12 +27,14 @@ isotropic compression along e_i stays on e_i.
 from __future__ import annotations
 
 from enum import IntEnum
-from math import exp, log, sqrt
+from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
 
-from cosserat_fx.compiled import fingerprint, inline
+from cosserat_fx import rows as row
+from cosserat_fx.compiled import inline, kernel
+from cosserat_fx.elementary import exponential, logarithm
 from cosserat_fx.layout import Layout
 from cosserat_fx.material import KernelConstants
 from cosserat_fx.typing import Array, IntArray
@@ -60,7 +66,7 @@ REASONS: dict[Status, str] = {
 
 FIRST_FAILURE = int(Status.LOCAL_NEWTON)
 _OK, _RADICAND, _DENSE, _TENSION = (
-    int(s) for s in (Status.OK, Status.RADICAND, Status.DENSER_THAN_E_D, Status.TENSION)
+    float(s) for s in (Status.OK, Status.RADICAND, Status.DENSER_THAN_E_D, Status.TENSION)
 )
 
 
@@ -70,18 +76,20 @@ class Tables(NamedTuple):
     Attributes:
         weight: multiplicity of each force component in a contraction.
         normal: 1 for the components 11, 22, 33 of the stress, else 0.
-        stress: 1 for stress components, 0 for couple stresses.
+        normals: the places of these components.
+        n_stress, n_spin: number of stress components, which come first, and of spin components.
         share: part of a stress component that goes to its slot of the symmetric part; 0 for couples.
         symmetric: slot of each stress component in the symmetric order 11, 22, 33, 12, 13, 23.
         slots: force component that is conjugate to each strain and curvature increment.
         spin_row, spin_column, spin_of, spin_sign: the entries of L(W), as
             ``L[row, column] += sign * W[of]``.
-        source: digest of the compiled modules; nothing reads it, but numba's cache tells kernels by it.
     """
 
     weight: Array
     normal: Array
-    stress: Array
+    normals: IntArray
+    n_stress: int
+    n_spin: int
     share: Array
     symmetric: IntArray
     slots: IntArray
@@ -89,49 +97,6 @@ class Tables(NamedTuple):
     spin_column: IntArray
     spin_of: IntArray
     spin_sign: Array
-    source: IntArray
-
-
-class LawArrays(NamedTuple):
-    """Vectors that the rate law fills at one state; made once, used for every point.
-
-    Attributes:
-        rate: (n,) dy, with the objective terms (Pa per unit of the rate's time).
-        material_rate: (n,) dy without them.
-        z: (n,) y over its trace.
-        flow: (n,) 2 z - delta/3.
-        alpha: (n,) a on stresses, a_c on couple stresses.
-        a_by_y: (n,) da/dy (1/Pa).
-        deviator, gradient: (6,) argument of a and da with respect to it.
-    """
-
-    rate: Array
-    material_rate: Array
-    z: Array
-    flow: Array
-    alpha: Array
-    a_by_y: Array
-    deviator: Array
-    gradient: Array
-
-
-class Point(NamedTuple):
-    """Scalars of the rate law at one state, kept from the rate for its derivatives.
-
-    trace is T (Pa), f_s (Pa) the stiffness factor, f_d the density factor, a the critical stress
-    function, power is P, norm is N; the rest are derivatives with respect to T (1/Pa) and to e.
-    """
-
-    trace: float
-    f_s: float
-    f_d: float
-    a: float
-    power: float
-    norm: float
-    log_f_s_by_trace: float
-    log_f_s_by_e: float
-    f_d_by_trace: float
-    f_d_by_e: float
 
 
 _SYMMETRIC_SLOT = {(0, 0): 0, (1, 1): 1, (2, 2): 2, (0, 1): 3, (1, 0): 3, (0, 2): 4, (2, 0): 4, (1, 2): 5, (2, 1): 5}
@@ -157,7 +122,9 @@ def tables(layout: Layout, *, spin: bool) -> Tables:
     return Tables(
         weight=np.array(layout.weights),
         normal=np.where(stress & diagonal, 1.0, 0.0),
-        stress=np.where(stress, 1.0, 0.0),
+        normals=np.flatnonzero(stress & diagonal).astype(np.int32),
+        n_stress=n_stress,
+        n_spin=len(layout.spin),
         share=np.where(stress, np.where(diagonal | (not layout.polar), 1.0, 0.5), 0.0),
         symmetric=np.array([_SYMMETRIC_SLOT[c] for c in layout.forces], dtype=np.int32),
         slots=np.array(layout.strain_slots, dtype=np.int32),
@@ -165,7 +132,6 @@ def tables(layout: Layout, *, spin: bool) -> Tables:
         spin_column=columns.astype(np.int32),
         spin_of=ofs.astype(np.int32),
         spin_sign=signs,
-        source=fingerprint(),
     )
 
 
@@ -188,23 +154,20 @@ def _spin_entries(
 
 
 @inline
-def critical_stress(c_phi: float, deviator: Array, gradient: Array) -> float:
+def critical_stress(
+    c_phi: float, s11: float, s22: float, s33: float, s12: float, s13: float, s23: float
+) -> tuple[float, float, float, float, float, float, float]:
     """The critical stress function a, equation (7), and its gradient.
 
     Args:
         c_phi: sin(phi_c) / (3 - sin(phi_c)).
-        deviator: (6,) symmetric part of sigma/sigma_kk - 1/3, order 11, 22, 33, 12, 13, 23.
-        gradient: (6,) receives da/dS as tensor components; zero at the isotropic state, where the
-            gradient has no direction.
+        s11, s22, s33, s12, s13, s23: symmetric part of sigma/sigma_kk - 1/3.
 
     Returns:
-        a > 0, or -1 where the radicand, its denominator or a itself is not positive, or not a number.
+        a > 0, or -1 where the radicand, its denominator or a itself is not positive, or not a number; and da/dS as
+        tensor components, in the order of the arguments: zero at the isotropic state, where it has no direction.
     """
-    s11, s22, s33, s12, s13, s23 = deviator[0], deviator[1], deviator[2], deviator[3], deviator[4], deviator[5]
     j2 = s11 * s11 + s22 * s22 + s33 * s33 + 2.0 * (s12 * s12 + s13 * s13 + s23 * s23)
-    if j2 < 1e-28:
-        gradient[:] = 0.0
-        return c_phi * sqrt(8.0 / 3.0)
     q11 = s11 * s11 + s12 * s12 + s13 * s13
     q22 = s12 * s12 + s22 * s22 + s23 * s23
     q33 = s13 * s13 + s23 * s23 + s33 * s33
@@ -212,26 +175,28 @@ def critical_stress(c_phi: float, deviator: Array, gradient: Array) -> float:
     q13 = s11 * s13 + s12 * s23 + s13 * s33
     q23 = s12 * s13 + s22 * s23 + s23 * s33
     j3 = s11 * q11 + s22 * q22 + s33 * q33 + 2.0 * (s12 * q12 + s13 * q13 + s23 * q23)
-    lode = j3 / j2
+    isotropic = j2 < 1e-28
+    directed = 0.0 if isotropic else 1.0
+    by_j2 = 1.0 / (1.0 if isotropic else j2)
+    lode = directed * j3 * by_j2
     numerator = 8.0 / 3.0 - 3.0 * (j2 + j3)
     denominator = 1.0 - 3.0 * lode
-    if not (numerator > 1e-12 and denominator > 1e-12):
-        return -1.0
     root = sqrt(numerator / denominator)
-    norm = sqrt(j2)
-    if not root > norm:
-        return -1.0
+    norm = directed * sqrt(j2)
+    valid = (numerator > 1e-12) & (denominator > 1e-12) & (root > norm)
     # da = c_phi [ (dnumerator - root^2 ddenominator) / (2 root denominator) - dnorm ]
     half = 0.5 / (root * denominator)
-    by_square = c_phi * half * (-9.0 + root * root * 9.0 / j2)
-    by_linear = c_phi * (half * (-6.0 - root * root * 6.0 * lode / j2) - 1.0 / norm)
-    gradient[0] = by_linear * s11 + by_square * q11
-    gradient[1] = by_linear * s22 + by_square * q22
-    gradient[2] = by_linear * s33 + by_square * q33
-    gradient[3] = by_linear * s12 + by_square * q12
-    gradient[4] = by_linear * s13 + by_square * q13
-    gradient[5] = by_linear * s23 + by_square * q23
-    return c_phi * (root - norm)
+    by_square = directed * c_phi * half * (-9.0 + root * root * 9.0 * by_j2)
+    by_linear = directed * c_phi * (half * (-6.0 - root * root * 6.0 * lode * by_j2) - norm * by_j2)
+    return (
+        c_phi * (root - norm) if valid else -1.0,
+        by_linear * s11 + by_square * q11,
+        by_linear * s22 + by_square * q22,
+        by_linear * s33 + by_square * q33,
+        by_linear * s12 + by_square * q12,
+        by_linear * s13 + by_square * q13,
+        by_linear * s23 + by_square * q23,
+    )
 
 
 @inline
@@ -246,144 +211,208 @@ def state_factors(trace: float, e: float, c: KernelConstants) -> tuple[float, fl
     Returns:
         f_s (Pa), f_d, d ln f_s/dT, d ln f_s/de, d f_d/dT, d f_d/de; f_d = -1 where e <= e_d.
     """
-    log_pressure = log(-trace / c.h_s)
-    compression = exp(c.n * log_pressure)
-    shrink = exp(-compression)
-    e_i = c.e_i0 * shrink
-    relative = e / shrink - c.e_d0
-    if not relative > 1e-12 * c.e_d0:
-        return 0.0, -1.0, 0.0, 0.0, 0.0, 0.0
-    f_d = exp(c.alpha * log(relative / (c.e_c0 - c.e_d0)))
-    f_b = c.h_s / (c.n * c.h_i) * (1.0 + e_i) / e_i * exp((1.0 - c.n) * log_pressure)
-    f_s = exp(c.beta * log(e_i / e)) * f_b
+    hardness = -trace / c.h_s
+    compression = exponential(c.n * logarithm(hardness))
+    expand = exponential(compression)
+    e_i = c.e_i0 / expand
+    relative = e * expand - c.e_d0
+    valid = relative > 1e-12 * c.e_d0
+    relative = relative if valid else c.e_d0
+    f_d = exponential(c.alpha * logarithm(relative / (c.e_c0 - c.e_d0)))
+    f_b = c.h_s / (c.n * c.h_i) * (1.0 + e_i) / e_i * hardness / compression
+    f_s = exponential(c.beta * logarithm(e_i / e)) * f_b
     log_shrink_by_trace = -c.n * compression / trace
     log_f_s_by_trace = (c.beta - 1.0 / (1.0 + e_i)) * log_shrink_by_trace + (1.0 - c.n) / trace
     f_d_by_relative = c.alpha * f_d / relative
     return (
         f_s,
-        f_d,
+        f_d if valid else -1.0,
         log_f_s_by_trace,
         -c.beta / e,
-        -f_d_by_relative * e / shrink * log_shrink_by_trace,
-        f_d_by_relative / shrink,
+        -f_d_by_relative * e * expand * log_shrink_by_trace,
+        f_d_by_relative * expand,
     )
 
 
-@inline
-def rate(
-    y: Array, e: float, d: Array, norm: float, w: Array, c: KernelConstants, t: Tables, law: LawArrays
-) -> tuple[int, Point]:
-    """Rate of the scaled state, equations (1) and (2).
+@kernel
+def rate(rows: Array, y: int, lanes: int, c: KernelConstants, t: Tables) -> None:
+    """Rate of the scaled state of every point, equations (1) and (2), with what its derivatives need.
+
+    Where the law does not describe a state, its code is not OK and all else that is said of it means nothing.
 
     Args:
-        y: (n,) stress and couple stress over d50 (Pa).
-        e: void ratio.
-        d: (n,) strain rate and d50 times curvature rate, zero where the kinematics allows none.
-        norm: N, the norm of d.
-        w: spin components, in the layout's order.
+        rows: (rows, LANES) hold the void ratio, the increments of strain, curvature and spin, and the states.
+        y: first row of the states: stress and couple stress over d50 (Pa).
+        lanes: number of points.
         c: the material's constants.
         t: the layout's tables.
-        law: receives the rate and what its derivatives need.
-
-    Returns:
-        A :class:`Status` code and the scalars that the derivatives need.
     """
-    trace = 0.0
-    for i in range(len(t.weight)):
-        trace += t.normal[i] * y[i]
-    nothing = Point(trace, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    if not trace < 0.0:
-        return _TENSION, nothing
-    f_s, f_d, log_f_s_by_trace, log_f_s_by_e, f_d_by_trace, f_d_by_e = state_factors(trace, e, c)
-    if f_d < 0.0:
-        return _DENSE, nothing
-    law.deviator[:] = 0.0
-    power = 0.0
-    for i in range(len(t.weight)):
-        law.z[i] = y[i] / trace
-        power += t.weight[i] * law.z[i] * d[i]
-        law.deviator[t.symmetric[i]] += t.share[i] * law.z[i] - t.normal[i] / 3.0
-    a = critical_stress(c.c_phi, law.deviator, law.gradient)
-    if a < 0.0:
-        return _RADICAND, nothing
-    along = 0.0
-    for i in range(len(t.weight)):
-        law.a_by_y[i] = t.stress[i] * t.weight[i] * law.gradient[t.symmetric[i]]
-        along += law.a_by_y[i] * law.z[i]
-    for i in range(len(t.weight)):
-        law.a_by_y[i] = (law.a_by_y[i] - along * t.normal[i]) / trace
-        law.alpha[i] = t.stress[i] * a + (1.0 - t.stress[i]) * c.a_c
-        law.flow[i] = 2.0 * law.z[i] - t.normal[i] / 3.0
-        law.material_rate[i] = f_s * (
-            law.alpha[i] * law.alpha[i] * d[i] + power * law.z[i] + f_d * law.alpha[i] * norm * law.flow[i]
+    n = len(t.weight)
+    for lane in range(lanes):
+        rows[row.TRACE, lane] = 0.0
+        rows[row.POWER, lane] = 0.0
+        rows[row.ALONG, lane] = 0.0
+    for slot in range(6):
+        for lane in range(lanes):
+            rows[row.DEVIATOR + slot, lane] = 0.0
+    for i in t.normals:
+        for lane in range(lanes):
+            rows[row.TRACE, lane] += rows[y + i, lane]
+    for lane in range(lanes):
+        trace = rows[row.TRACE, lane]
+        compressed = trace < 0.0
+        trace = trace if compressed else -1.0
+        f_s, f_d, log_f_s_by_trace, log_f_s_by_e, f_d_by_trace, f_d_by_e = state_factors(trace, rows[row.E, lane], c)
+        dense = _DENSE if f_d < 0.0 else _OK
+        rows[row.CODE, lane] = dense if compressed else _TENSION
+        rows[row.TRACE, lane] = trace
+        rows[row.INVERSE_TRACE, lane] = 1.0 / trace
+        rows[row.F_S, lane] = f_s
+        rows[row.F_D, lane] = f_d
+        rows[row.LOG_F_S_BY_TRACE, lane] = log_f_s_by_trace
+        rows[row.LOG_F_S_BY_E, lane] = log_f_s_by_e
+        rows[row.F_D_BY_TRACE, lane] = f_d_by_trace
+        rows[row.F_D_BY_E, lane] = f_d_by_e
+    for i in range(n):
+        third = t.normal[i] / 3.0
+        for lane in range(lanes):
+            z = rows[y + i, lane] * rows[row.INVERSE_TRACE, lane]
+            rows[row.Z + i, lane] = z
+            rows[row.FLOW + i, lane] = 2.0 * z - third
+            rows[row.POWER, lane] += z * rows[row.WEIGHTED_D + i, lane]
+    for i in range(t.n_stress):
+        slot, share, third = row.DEVIATOR + t.symmetric[i], t.share[i], t.normal[i] / 3.0
+        for lane in range(lanes):
+            rows[slot, lane] += share * rows[row.Z + i, lane] - third
+    for lane in range(lanes):
+        a, a11, a22, a33, a12, a13, a23 = critical_stress(
+            c.c_phi,
+            rows[row.DEVIATOR, lane],
+            rows[row.DEVIATOR + 1, lane],
+            rows[row.DEVIATOR + 2, lane],
+            rows[row.DEVIATOR + 3, lane],
+            rows[row.DEVIATOR + 4, lane],
+            rows[row.DEVIATOR + 5, lane],
         )
-        law.rate[i] = law.material_rate[i]
+        code = rows[row.CODE, lane]
+        rows[row.CODE, lane] = _RADICAND if (a < 0.0) & (code == _OK) else code
+        rows[row.A, lane] = a
+        rows[row.GRADIENT, lane] = a11
+        rows[row.GRADIENT + 1, lane] = a22
+        rows[row.GRADIENT + 2, lane] = a33
+        rows[row.GRADIENT + 3, lane] = a12
+        rows[row.GRADIENT + 4, lane] = a13
+        rows[row.GRADIENT + 5, lane] = a23
+    for i in range(t.n_stress):
+        slot, weight = row.GRADIENT + t.symmetric[i], t.weight[i]
+        for lane in range(lanes):
+            rows[row.ALONG, lane] += weight * rows[slot, lane] * rows[row.Z + i, lane]
+    for i in range(t.n_stress):
+        slot, weight, normal = row.GRADIENT + t.symmetric[i], t.weight[i], t.normal[i]
+        for lane in range(lanes):
+            by_z = weight * rows[slot, lane] - normal * rows[row.ALONG, lane]
+            rows[row.A_BY_Y + i, lane] = by_z * rows[row.INVERSE_TRACE, lane]
+    for i in range(n):
+        of_stress = i < t.n_stress
+        for lane in range(lanes):
+            alpha = rows[row.A, lane] if of_stress else c.a_c
+            nonlinear = rows[row.F_D, lane] * alpha * rows[row.NORM, lane] * rows[row.FLOW + i, lane]
+            linear = alpha * alpha * rows[row.D + i, lane] + rows[row.POWER, lane] * rows[row.Z + i, lane]
+            rows[row.ALPHA + i, lane] = alpha
+            rows[row.MATERIAL_RATE + i, lane] = rows[row.F_S, lane] * (linear + nonlinear)
+            rows[row.RATE + i, lane] = rows[row.F_S, lane] * (linear + nonlinear)
     for k in range(len(t.spin_row)):
-        law.rate[t.spin_row[k]] += t.spin_sign[k] * w[t.spin_of[k]] * y[t.spin_column[k]]
-    return _OK, Point(trace, f_s, f_d, a, power, norm, log_f_s_by_trace, log_f_s_by_e, f_d_by_trace, f_d_by_e)
+        to, turned, spin, sign = row.RATE + t.spin_row[k], y + t.spin_column[k], row.SPIN + t.spin_of[k], t.spin_sign[k]
+        for lane in range(lanes):
+            rows[to, lane] += sign * rows[spin, lane] * rows[turned, lane]
 
 
-@inline
-def stage_matrix(d: Array, w: Array, scale: float, p: Point, t: Tables, law: LawArrays, matrix: Array) -> None:
-    """The matrix 1 - scale * d(rate)/dy of an implicit stage.
+@kernel
+def stage_matrix(rows: Array, lanes: int, t: Tables) -> None:
+    """The matrix 1 - scale * d(rate)/dy of an implicit stage, at the state where :func:`rate` was asked last.
 
     Args:
-        d: (n,) scaled strain and curvature rate.
-        w: spin components.
-        scale: the stage's share of the increment.
-        p, law: what :func:`rate` left at the state in question.
+        rows: (rows, LANES) hold the increments, the scale and what the law said; the matrix is written.
+        lanes: number of points.
         t: the layout's tables.
-        matrix: (n, n) overwritten.
     """
     n = len(t.weight)
     for i in range(n):
-        by_a = t.stress[i] * p.f_s * (2.0 * p.a * d[i] + p.f_d * p.norm * law.flow[i])
-        by_power = p.f_s * law.z[i] / p.trace
-        diagonal = p.f_s * (p.power + 2.0 * p.f_d * law.alpha[i] * p.norm) / p.trace
-        by_trace = (
-            p.log_f_s_by_trace * law.material_rate[i]
-            + p.f_s * p.f_d_by_trace * law.alpha[i] * p.norm * law.flow[i]
-            - by_power * p.power
-            - diagonal * law.z[i]
-        )
+        of_stress = 1.0 if i < t.n_stress else 0.0
+        for lane in range(lanes):
+            factor = -rows[row.SCALE, lane] * rows[row.F_S, lane]
+            rest = -rows[row.SCALE, lane] * rows[row.LOG_F_S_BY_TRACE, lane] * rows[row.MATERIAL_RATE + i, lane]
+            norm, inverse_trace = rows[row.NORM, lane], rows[row.INVERSE_TRACE, lane]
+            z, alpha, flow = rows[row.Z + i, lane], rows[row.ALPHA + i, lane], rows[row.FLOW + i, lane]
+            power, f_d = rows[row.POWER, lane], rows[row.F_D, lane]
+            by_power = factor * z * inverse_trace
+            diagonal = factor * (power + 2.0 * f_d * norm * alpha) * inverse_trace
+            by_trace = rest + factor * rows[row.F_D_BY_TRACE, lane] * norm * alpha * flow
+            rows[row.BY_A, lane] = of_stress * factor * (2.0 * alpha * rows[row.D + i, lane] + f_d * norm * flow)
+            rows[row.BY_POWER, lane] = by_power
+            rows[row.BY_TRACE, lane] = by_trace - by_power * power - diagonal * z
+            rows[row.DIAGONAL, lane] = 1.0 + diagonal
         for j in range(n):
-            entry = by_a * law.a_by_y[j] + by_power * t.weight[j] * d[j] + by_trace * t.normal[j]
-            matrix[i, j] = -scale * entry
-        matrix[i, i] += 1.0 - scale * diagonal
+            entry = row.MATRIX + i * n + j
+            for lane in range(lanes):
+                rows[entry, lane] = rows[row.BY_POWER, lane] * rows[row.WEIGHTED_D + j, lane]
+        for j in range(t.n_stress):
+            entry = row.MATRIX + i * n + j
+            for lane in range(lanes):
+                rows[entry, lane] += rows[row.BY_A, lane] * rows[row.A_BY_Y + j, lane]
+        for j in t.normals:
+            entry = row.MATRIX + i * n + j
+            for lane in range(lanes):
+                rows[entry, lane] += rows[row.BY_TRACE, lane]
+        entry = row.MATRIX + i * n + i
+        for lane in range(lanes):
+            rows[entry, lane] += rows[row.DIAGONAL, lane]
     for k in range(len(t.spin_row)):
-        matrix[t.spin_row[k], t.spin_column[k]] -= scale * t.spin_sign[k] * w[t.spin_of[k]]
+        entry, spin, sign = row.MATRIX + t.spin_row[k] * n + t.spin_column[k], row.SPIN + t.spin_of[k], t.spin_sign[k]
+        for lane in range(lanes):
+            rows[entry, lane] -= rows[row.SCALE, lane] * sign * rows[spin, lane]
 
 
-@inline
-def add_input_derivative(
-    y: Array, d: Array, scale: float, e_by_volume: float, p: Point, t: Tables, law: LawArrays, columns: Array
-) -> None:
-    """Add scale * d(rate)/d(strain, curvature, spin increments) to the columns of a stage.
+@kernel
+def add_input_derivative(rows: Array, y: int, lanes: int, t: Tables) -> None:
+    """Add scale * d(rate)/d(strain, curvature, spin increments) to the sensitivities of a stage.
+
+    At a zero increment the norm has no derivative; the law's linear part alone is the useful tangent there.
 
     Args:
-        y: (n,) scaled state.
-        d: (n,) scaled strain and curvature increment.
-        scale: the stage's share of the increment.
-        e_by_volume: derivative of the stage's void ratio with respect to the volume strain.
-        p, law: what :func:`rate` left at the state in question.
+        rows: (rows, LANES) hold the increments, the scale, the void ratio's derivative and what :func:`rate` said last;
+            the stage's sensitivities, with inputs in the layout's order and curvatures times d50, are added to.
+        y: first row of the states that it was asked at.
+        lanes: number of points.
         t: the layout's tables.
-        columns: (n, inputs) added to; inputs in the layout's order, curvatures times d50.
     """
-    # At d = 0 the norm has no derivative; the law's linear part alone is the useful tangent there.
-    by_norm = 1.0 / p.norm if p.norm > 0.0 else 0.0
-    for i in range(len(t.weight)):
-        nonlinear = p.f_s * law.alpha[i] * law.flow[i]
-        by_e = p.log_f_s_by_e * law.material_rate[i] + p.f_d_by_e * p.norm * nonlinear
-        for k in range(len(t.slots)):
-            j = t.slots[k]
-            columns[i, k] += scale * (
-                p.f_s * law.z[i] * t.weight[j] * law.z[j]
-                + p.f_d * nonlinear * t.weight[j] * d[j] * by_norm
-                + by_e * e_by_volume * t.normal[j]
-            )
-    for k in range(len(t.slots)):
-        j = t.slots[k]
-        columns[j, k] += scale * p.f_s * law.alpha[j] * law.alpha[j]
+    n, driven = len(t.weight), len(t.slots)
+    inputs = driven + t.n_spin
+    for i in range(n):
+        for lane in range(lanes):
+            f_s, alpha = rows[row.F_S, lane] * rows[row.SCALE, lane], rows[row.ALPHA + i, lane]
+            nonlinear = f_s * alpha * rows[row.FLOW + i, lane]
+            log_f_s_by_e = rows[row.LOG_F_S_BY_E, lane] * rows[row.SCALE, lane]
+            by_e = log_f_s_by_e * rows[row.MATERIAL_RATE + i, lane]
+            by_e += rows[row.F_D_BY_E, lane] * rows[row.NORM, lane] * nonlinear
+            rows[row.BY_TRACE, lane] = by_e * rows[row.E_BY_VOLUME, lane]
+            rows[row.BY_POWER, lane] = f_s * rows[row.Z + i, lane]
+            rows[row.BY_A, lane] = rows[row.F_D, lane] * nonlinear * rows[row.INVERSE_NORM, lane]
+            rows[row.DIAGONAL, lane] = f_s * alpha * alpha
+        for k in range(driven):
+            column, j = row.STAGE_SENSITIVITY + i * inputs + k, t.slots[k]
+            weight = t.weight[j]
+            for lane in range(lanes):
+                along = weight * rows[row.BY_POWER, lane] * rows[row.Z + j, lane]
+                rows[column, lane] += along + rows[row.BY_A, lane] * rows[row.WEIGHTED_D + j, lane]
+            if t.normal[j] > 0.0:
+                for lane in range(lanes):
+                    rows[column, lane] += rows[row.BY_TRACE, lane]
+            if i == j:
+                for lane in range(lanes):
+                    rows[column, lane] += rows[row.DIAGONAL, lane]
     for k in range(len(t.spin_row)):
-        column = len(t.slots) + t.spin_of[k]
-        columns[t.spin_row[k], column] += scale * t.spin_sign[k] * y[t.spin_column[k]]
+        column = row.STAGE_SENSITIVITY + t.spin_row[k] * inputs + driven + t.spin_of[k]
+        turned, sign = y + t.spin_column[k], t.spin_sign[k]
+        for lane in range(lanes):
+            rows[column, lane] += rows[row.SCALE, lane] * sign * rows[turned, lane]

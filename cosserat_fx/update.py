@@ -30,19 +30,18 @@ given: with it frozen the update is a smooth function of the increment.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from math import exp, expm1, isfinite, sqrt
-from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
-from cosserat_fx.compiled import inline
+from cosserat_fx import rows as row
+from cosserat_fx.compiled import fingerprint, kernel
 from cosserat_fx.dense import factorise, solve
+from cosserat_fx.elementary import exponential
 from cosserat_fx.hypoplasticity import (
     FIRST_FAILURE,
-    LawArrays,
-    Point,
     Status,
     Tables,
     add_input_derivative,
@@ -52,199 +51,385 @@ from cosserat_fx.hypoplasticity import (
 )
 from cosserat_fx.layout import Layout
 from cosserat_fx.material import KernelConstants
+from cosserat_fx.rows import LANES
 from cosserat_fx.typing import Array, CodeArray, IntArray
 
 GAMMA = 1.0 - 1.0 / sqrt(2.0)
+_SECOND_BY_FIRST = (1.0 - GAMMA) / GAMMA
 _ERROR_FACTOR = 2.0 / 3.0
 
-# A Newton correction of this size, relative to the trace of the stress, leaves an error of its square.
-_NEWTON_TOLERANCE = 1e-10
+# A Newton correction of this size, relative to the trace of the stress, leaves an error of about its square.
+_NEWTON_TOLERANCE = 1e-7
 _NEWTON_ITERATIONS = 25
 _NEWTON_HALVINGS = 12
-_PRESSURE_DOUBLINGS = 10
 _ORDER_OF_ERROR = 3.0
 
-_OK = int(Status.OK)
-_LOOSE = int(Status.LOOSER_THAN_E_I)
-_LOCAL_NEWTON = int(Status.LOCAL_NEWTON)
-_DENSE = int(Status.DENSER_THAN_E_D)
-_SUBSTEPS = int(Status.SUBSTEPS)
-_NOT_FINITE = int(Status.NOT_FINITE)
+_OK = float(Status.OK)
+_LOCAL_NEWTON = float(Status.LOCAL_NEWTON)
+_DENSE = float(Status.DENSER_THAN_E_D)
+_NOT_FINITE = float(Status.NOT_FINITE)
+_UPDATED, _LOOSE, _SUBSTEPS, _NUMBERLESS = (
+    int(s) for s in (Status.OK, Status.LOOSER_THAN_E_I, Status.SUBSTEPS, Status.NOT_FINITE)
+)
 
 Update = Callable[..., tuple[int, int]]
 
 
-class Work(NamedTuple):
-    """Arrays that one call of the kernel makes once and uses for every point.
-
-    Attributes:
-        law: arrays of the rate law.
-        d, w: scaled strain and curvature increment (n,), spin increment.
-        y, base, stage, candidate: states (n,) of a substep.
-        known_error: (n,) the error estimate's terms from the start and the first stage.
-        correction: (n, 1) of Newton's method, and the error estimate.
-        matrix, pivots: stage matrix (n, n) and its row exchanges.
-        sensitivity, stage_sensitivity: (n, inputs) derivatives of y and of the stage.
-    """
-
-    law: LawArrays
-    d: Array
-    w: Array
-    y: Array
-    base: Array
-    stage: Array
-    candidate: Array
-    known_error: Array
-    correction: Array
-    matrix: Array
-    pivots: IntArray
-    sensitivity: Array
-    stage_sensitivity: Array
-
-
-@njit(error_model="numpy")
-def make_work(n: int, n_driven: int, n_spin: int) -> Work:
-    """Allocate the kernel's arrays for n force components, n_driven strains and curvatures, n_spin spins."""
-    inputs = n_driven + n_spin
-    law = LawArrays(
-        np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(6), np.zeros(6)
-    )
-    return Work(
-        law,
-        np.zeros(n),
-        np.zeros(max(n_spin, 1)),
-        np.zeros(n),
-        np.zeros(n),
-        np.zeros(n),
-        np.zeros(n),
-        np.zeros(n),
-        np.zeros((n, 1)),
-        np.zeros((n, n)),
-        np.zeros(n, dtype=np.int32),
-        np.zeros((n, inputs)),
-        np.zeros((n, inputs)),
-    )
-
-
-@inline
-def _solve_stage(work: Work, e: float, norm: float, scale: float, c: KernelConstants, t: Tables) -> tuple[int, Point]:
-    """Newton's method for ``stage = base + scale f(stage)`` from the guess in ``work.stage``.
+@kernel
+def _solve_stage(rows: Array, lanes: int, c: KernelConstants, t: Tables, want_factors: bool) -> None:
+    """Newton's method for ``stage = base + scale f(stage)`` at every point, from the guess among the candidates.
 
     A guess denser than e_d, as in compression near it, is given a pressure at which it is not. Corrections that leave
-    the law's domain are halved. On success the law's arrays are those of the solution and the factors of the stage
-    matrix those of the iterate before it, which is as near as the tolerance.
-
-    Returns:
-        A status code and the law's scalars at the last admissible iterate.
+    the law's domain are halved. A point that has found its solution or fails stays as it is while others go on: no
+    point knows of another. At the end the law is that of the solutions and so are, if wanted, the factors.
     """
     n = len(t.weight)
-    code, p = rate(work.stage, e, work.d, norm, work.w, c, t, work.law)
-    for _ in range(_PRESSURE_DOUBLINGS):
-        if code != _DENSE:
-            break
-        for i in range(n):
-            work.stage[i] *= 2.0
-        code, p = rate(work.stage, e, work.d, norm, work.w, c, t, work.law)
-    if code != _OK:
-        return code, p
-    for _ in range(_NEWTON_ITERATIONS):
-        for i in range(n):
-            work.correction[i, 0] = work.base[i] + scale * work.law.rate[i] - work.stage[i]
-        stage_matrix(work.d, work.w, scale, p, t, work.law, work.matrix)
-        if not factorise(work.matrix, work.pivots, n):
-            return _LOCAL_NEWTON, p
-        solve(work.matrix, work.pivots, work.correction, n, 1)
-        damping = 1.0
+    for lane in range(lanes):
+        rows[row.ACTIVE, lane] = 1.0 if rows[row.FAILURE, lane] == _OK else 0.0
+    for iteration in range(_NEWTON_ITERATIONS + 1):
         for _ in range(_NEWTON_HALVINGS):
-            for i in range(n):
-                work.candidate[i] = work.stage[i] + damping * work.correction[i, 0]
-            code, p = rate(work.candidate, e, work.d, norm, work.w, c, t, work.law)
-            if code == _OK:
+            rate(rows, row.CANDIDATE, lanes, c, t)
+            outside = 0.0
+            for lane in range(lanes):
+                outside = max(outside, rows[row.ACTIVE, lane] * rows[row.CODE, lane])
+            if outside == 0.0:
                 break
-            damping *= 0.5
-        if code != _OK:
-            return code, p
-        work.stage[:] = work.candidate
-        converged = damping == 1.0
+            _bring_inside(rows, n, lanes, iteration == 0)
+        going_on = _accept(rows, n, lanes, iteration == 0)
+        if not going_on and not want_factors:
+            return
+        stage_matrix(rows, lanes, t)
+        factorise(rows, row.MATRIX, n, lanes)
+        if not going_on:
+            return
+        _correct(rows, n, lanes)
+    for lane in range(lanes):
+        rows[row.FAILURE, lane] = max(rows[row.FAILURE, lane], _LOCAL_NEWTON * rows[row.ACTIVE, lane])
+
+
+@kernel
+def _bring_inside(rows: Array, n: int, lanes: int, first: bool) -> None:
+    """Change the candidates outside of the law's domain: a first guess that is too dense, else corrections."""
+    for lane in range(lanes):
+        outside = rows[row.ACTIVE, lane] * rows[row.CODE, lane]
+        if outside == _OK:
+            continue
+        rows[row.DAMPING, lane] *= 0.5
         for i in range(n):
-            converged = converged and abs(work.correction[i, 0]) <= -_NEWTON_TOLERANCE * p.trace
-        if converged:
-            return _OK, p
-    return _LOCAL_NEWTON, p
+            if not first:
+                correction = rows[row.DAMPING, lane] * rows[row.CORRECTION + i, lane]
+                rows[row.CANDIDATE + i, lane] = rows[row.STAGE + i, lane] + correction
+            elif outside == _DENSE:
+                rows[row.CANDIDATE + i, lane] *= 2.0
 
 
-@inline
+@kernel
+def _accept(rows: Array, n: int, lanes: int, first: bool) -> bool:
+    """Take the candidates as stages where the law describes them; whether any point is not at its solution yet."""
+    for lane in range(lanes):
+        active = rows[row.ACTIVE, lane]
+        failure = max(rows[row.FAILURE, lane], active * rows[row.CODE, lane])
+        rows[row.FAILURE, lane] = failure
+        rows[row.ALONG, lane] = 1.0 if first or rows[row.DAMPING, lane] < 1.0 else 0.0
+    for i in range(n):
+        for lane in range(lanes):
+            active = rows[row.ACTIVE, lane] > 0.0
+            rows[row.STAGE + i, lane] = rows[row.CANDIDATE + i, lane] if active else rows[row.STAGE + i, lane]
+            close = abs(rows[row.CORRECTION + i, lane]) <= -_NEWTON_TOLERANCE * rows[row.TRACE, lane]
+            rows[row.ALONG, lane] = rows[row.ALONG, lane] if close else 1.0
+    going_on = 0.0
+    for lane in range(lanes):
+        active = rows[row.ACTIVE, lane] * rows[row.ALONG, lane]
+        rows[row.ACTIVE, lane] = active if rows[row.FAILURE, lane] == _OK else 0.0
+    for lane in range(lanes):
+        going_on = max(going_on, rows[row.ACTIVE, lane])
+    return going_on > 0.0
+
+
+@kernel
+def _correct(rows: Array, n: int, lanes: int) -> None:
+    """Newton's corrections with the factors at hand, and the candidates that they lead to."""
+    for i in range(n):
+        for lane in range(lanes):
+            known = rows[row.BASE + i, lane] - rows[row.STAGE + i, lane]
+            rows[row.CORRECTION + i, lane] = known + rows[row.SCALE, lane] * rows[row.RATE + i, lane]
+    solve(rows, row.MATRIX, row.CORRECTION, n, 1, lanes)
+    for lane in range(lanes):
+        rows[row.DAMPING, lane] = 1.0
+        rows[row.ALONG, lane] = 0.0
+    for i in range(n):
+        for lane in range(lanes):
+            rows[row.ALONG, lane] += 0.0 * rows[row.CORRECTION + i, lane]  # not a number where this is not finite
+    for lane in range(lanes):
+        lost = rows[row.ALONG, lane] != 0.0
+        failure = rows[row.FAILURE, lane]
+        rows[row.FAILURE, lane] = max(failure, _LOCAL_NEWTON * rows[row.ACTIVE, lane]) if lost else failure
+        rows[row.ACTIVE, lane] = 0.0 if lost else rows[row.ACTIVE, lane]
+    for i in range(n):
+        for lane in range(lanes):
+            correction = rows[row.CORRECTION + i, lane] if rows[row.ACTIVE, lane] > 0.0 else 0.0
+            rows[row.CANDIDATE + i, lane] = rows[row.STAGE + i, lane] + correction
+
+
+@kernel
 def _integrate(
-    work: Work,
-    n_spin: int,
-    e_n: float,
+    rows: Array, lanes: int, evolving: bool, estimate: bool, want_tangent: bool, c: KernelConstants, t: Tables
+) -> None:
+    """Advance the states over the increments by every point's number of substeps.
+
+    A point that has made its substeps makes further ones of no size, which change nothing. What ended the integration
+    of a point and, where asked for, its largest error estimate are in their rows afterwards.
+    """
+    n = len(t.weight)
+    inputs = len(t.slots) + t.n_spin
+    derivatives = n * inputs if want_tangent else 0
+    most = _prepare(rows, n, lanes, t)
+    for k in range(derivatives):
+        for lane in range(lanes):
+            rows[row.SENSITIVITY + k, lane] = 0.0
+    for step in range(most):
+        _begin_substep(rows, lanes, step)
+        if estimate:
+            _begin_estimate(rows, n, lanes, step == 0, c, t)
+        _copy(rows, row.Y, row.BASE, n, lanes)
+        _copy(rows, row.Y, row.CANDIDATE, n, lanes)
+        _copy(rows, row.SENSITIVITY, row.STAGE_SENSITIVITY, derivatives, lanes)
+        for stage in range(2):
+            _set_void_ratio(rows, lanes, GAMMA if stage == 0 else 1.0, evolving)
+            _solve_stage(rows, lanes, c, t, want_tangent or (estimate and stage == 1))
+            if want_tangent:
+                add_input_derivative(rows, row.STAGE, lanes, t)
+                solve(rows, row.MATRIX, row.STAGE_SENSITIVITY, n, inputs, lanes)
+            if stage == 0:
+                _begin_second_stage(rows, n, derivatives, lanes)
+        if estimate:
+            _end_estimate(rows, n, lanes)
+        _copy(rows, row.STAGE, row.Y, n, lanes)
+        _copy(rows, row.STAGE_SENSITIVITY, row.SENSITIVITY, derivatives, lanes)
+        if _all_failed(rows, lanes):
+            return
+
+
+@kernel
+def _prepare(rows: Array, n: int, lanes: int, t: Tables) -> int:
+    """Measure the increments and clear the estimates; return the largest number of substeps."""
+    for lane in range(lanes):
+        rows[row.NORM, lane] = 0.0
+        rows[row.VOLUME, lane] = 0.0
+        rows[row.ESTIMATE, lane] = 0.0
+    for i in range(n):
+        weight, normal = t.weight[i], t.normal[i]
+        for lane in range(lanes):
+            d = rows[row.D + i, lane]
+            rows[row.WEIGHTED_D + i, lane] = weight * d
+            rows[row.NORM, lane] += weight * d * d
+            rows[row.VOLUME, lane] += normal * d
+    most = 0.0
+    for lane in range(lanes):
+        norm = sqrt(rows[row.NORM, lane])
+        rows[row.NORM, lane] = norm
+        rows[row.INVERSE_NORM, lane] = 1.0 / norm if norm > 0.0 else 0.0
+        most = max(most, rows[row.SUBSTEPS, lane])
+    return int(most)
+
+
+@kernel
+def _begin_substep(rows: Array, lanes: int, step: int) -> None:
+    """Place and size of the next substep, which is of no size where all have been made."""
+    for lane in range(lanes):
+        number = rows[row.SUBSTEPS, lane]
+        begin, end = min(float(step), number) / number, min(step + 1.0, number) / number
+        rows[row.BEGIN, lane] = begin * begin
+        rows[row.SIZE, lane] = end * end - begin * begin
+        rows[row.SCALE, lane] = GAMMA * rows[row.SIZE, lane]
+
+
+@kernel
+def _set_void_ratio(rows: Array, lanes: int, part: float, evolving: bool) -> None:
+    """The void ratio after a part of the substep, 1 + e(tau) = (1 + e_n) exp(tau volume), and its derivative."""
+    for lane in range(lanes):
+        time = rows[row.BEGIN, lane] + part * rows[row.SIZE, lane]
+        growth = exponential(time * rows[row.VOLUME, lane]) if evolving else 1.0
+        e = (1.0 + rows[row.E_N, lane]) * growth - 1.0 if evolving else rows[row.E_N, lane]
+        rows[row.E, lane] = e
+        rows[row.E_BY_VOLUME, lane] = (1.0 + e) * time if evolving else 0.0
+
+
+@kernel
+def _begin_second_stage(rows: Array, n: int, derivatives: int, lanes: int) -> None:
+    """The known part of the second stage; h f(Y_1) is known from the equation of the first."""
+    for i in range(n):
+        for lane in range(lanes):
+            first = rows[row.STAGE + i, lane] - rows[row.Y + i, lane]
+            rows[row.BASE + i, lane] = rows[row.Y + i, lane] + _SECOND_BY_FIRST * first
+            rows[row.CANDIDATE + i, lane] = rows[row.STAGE + i, lane]
+    for k in range(derivatives):
+        for lane in range(lanes):
+            before = rows[row.SENSITIVITY + k, lane]
+            first = rows[row.STAGE_SENSITIVITY + k, lane] - before
+            rows[row.STAGE_SENSITIVITY + k, lane] = before + _SECOND_BY_FIRST * first
+
+
+@kernel
+def _begin_estimate(rows: Array, n: int, lanes: int, first: bool, c: KernelConstants, t: Tables) -> None:
+    """What an explicit step would add, for the error estimate, where the law was asked last unless it is the first."""
+    if first:
+        _set_void_ratio(rows, lanes, 0.0, False)
+        rate(rows, row.Y, lanes, c, t)
+        for lane in range(lanes):
+            rows[row.FAILURE, lane] = max(rows[row.FAILURE, lane], rows[row.CODE, lane])
+    for i in range(n):
+        for lane in range(lanes):
+            rows[row.EXPLICIT + i, lane] = rows[row.SIZE, lane] * rows[row.RATE + i, lane]
+
+
+@kernel
+def _end_estimate(rows: Array, n: int, lanes: int) -> None:
+    """The error estimate of a substep, filtered with the factors of the second stage."""
+    for i in range(n):
+        for lane in range(lanes):
+            first = (rows[row.BASE + i, lane] - rows[row.Y + i, lane]) / (1.0 - GAMMA)
+            last = rows[row.STAGE + i, lane] - rows[row.BASE + i, lane]
+            explicit = (1.0 - GAMMA) * rows[row.EXPLICIT + i, lane]
+            rows[row.CORRECTION + i, lane] = _ERROR_FACTOR * (first - explicit - last)
+    solve(rows, row.MATRIX, row.CORRECTION, n, 1, lanes)
+    for i in range(n):
+        for lane in range(lanes):
+            relative = -abs(rows[row.CORRECTION + i, lane]) * rows[row.INVERSE_TRACE, lane]
+            rows[row.ESTIMATE, lane] = max(rows[row.ESTIMATE, lane], relative)
+
+
+@kernel
+def _copy(rows: Array, source: int, target: int, number: int, lanes: int) -> None:
+    """Copy so many rows."""
+    for k in range(number):
+        for lane in range(lanes):
+            rows[target + k, lane] = rows[source + k, lane]
+
+
+@kernel
+def _all_failed(rows: Array, lanes: int) -> bool:
+    """Whether no point is left to integrate."""
+    alive = 0
+    for lane in range(lanes):
+        alive += rows[row.FAILURE, lane] == _OK
+    return alive == 0
+
+
+@kernel
+def _choose(pending: IntArray, points: IntArray, status: CodeArray, substeps: IntArray) -> tuple[IntArray, IntArray]:
+    """Which of the pending rows to integrate next, and the others.
+
+    Some that failed are tried first, as all others are of no use if they fail for good. The chosen are in the order of
+    their numbers of substeps, so that those who go together have as much to do.
+    """
+    number, failed = 0, 0
+    most = 0
+    for at in pending:
+        failed += status[points[at]] >= FIRST_FAILURE
+        most = max(most, substeps[points[at]])
+    number = min(failed, LANES) if failed else len(pending)
+    chosen = np.empty(number, np.int32)
+    others = np.empty(len(pending) - number, np.int32)
+    places = np.zeros(most + 2, np.int32)
+    taken = 0
+    for k in range(len(pending)):
+        at = pending[k]
+        if taken < number and (not failed or status[points[at]] >= FIRST_FAILURE):
+            places[substeps[points[at]] + 1] += 1
+            chosen[taken] = at
+            taken += 1
+        else:
+            others[k - taken] = at
+    for k in range(most + 1):
+        places[k + 1] += places[k]
+    ordered = np.empty(number, np.int32)
+    for at in chosen:
+        place = substeps[points[at]]
+        ordered[places[place]] = at
+        places[place] += 1
+    return ordered, others
+
+
+@kernel
+def _load(
+    rows: Array,
+    chosen: IntArray,
+    increments: Array,
+    points: IntArray,
+    forces_n: Array,
+    e_n: Array,
+    substeps: IntArray,
+    c: KernelConstants,
+    t: Tables,
+) -> None:
+    """Put the chosen points into lanes, scaled."""
+    driven = len(t.slots)
+    for lane in range(len(chosen)):
+        at, q = chosen[lane], points[chosen[lane]]
+        size = 0.0
+        for i in range(len(t.weight)):
+            rows[row.Y + i, lane] = forces_n[q, i] / (1.0 if i < t.n_stress else c.d50)
+            rows[row.D + i, lane] = 0.0
+        for k in range(driven):
+            d = increments[at, k] * (1.0 if t.slots[k] < t.n_stress else c.d50)
+            rows[row.D + t.slots[k], lane] = d
+            size += d * d
+        for k in range(t.n_spin):
+            rows[row.SPIN + k, lane] = increments[at, driven + k]
+            size += increments[at, driven + k] ** 2
+        rows[row.E_N, lane] = e_n[q]
+        rows[row.SUBSTEPS, lane] = substeps[q]
+        rows[row.FAILURE, lane] = _OK if isfinite(size) else _NOT_FINITE
+
+
+@kernel
+def _store(
+    rows: Array,
+    lane: int,
+    q: int,
+    e_n: Array,
+    forces: Array,
+    e: Array,
+    tangent: Array,
     evolving: bool,
-    substeps: int,
-    estimate: bool,
     want_tangent: bool,
     c: KernelConstants,
     t: Tables,
-) -> tuple[int, float]:
-    """Advance ``work.y`` over the increment in ``work.d``, ``work.w`` by a number of substeps.
+) -> int:
+    """Write what became of a point that was integrated; return its status."""
+    driven = len(t.slots)
+    trace = 0.0
+    for i in range(len(t.weight)):
+        y = rows[row.Y + i, lane]
+        forces[q, i] = y * (1.0 if i < t.n_stress else c.d50)
+        trace += t.normal[i] * y
+    e[q] = e_n[q] + (1.0 + e_n[q]) * expm1(rows[row.VOLUME, lane]) if evolving else e_n[q]
+    if want_tangent:
+        for k in range(driven):
+            row_scale = 1.0 if t.slots[k] < t.n_stress else c.d50
+            for j in range(driven + t.n_spin):
+                scale = row_scale * (c.d50 if j < driven and t.slots[j] >= t.n_stress else 1.0)
+                tangent[q, k, j] = scale * rows[row.SENSITIVITY + t.slots[k] * (driven + t.n_spin) + j, lane]
+    return _LOOSE if e[q] > c.e_i0 * exp(-((-trace / c.h_s) ** c.n)) else _UPDATED
 
-    Returns:
-        A status code and the largest error estimate of a substep, relative to the trace of the stress
-        (0 where no estimate is asked for).
-    """
-    n = len(t.weight)
-    inputs = len(t.slots) + n_spin
-    norm = 0.0
-    volume = 0.0
-    for i in range(n):
-        norm += t.weight[i] * work.d[i] * work.d[i]
-        volume += t.normal[i] * work.d[i]
-    norm = sqrt(norm)
-    work.sensitivity[:] = 0.0
-    worst = 0.0
-    for step in range(substeps):
-        begin = (step / substeps) ** 2
-        h = ((step + 1) / substeps) ** 2 - begin
-        if estimate:
-            e = e_n + (1.0 + e_n) * expm1(begin * volume) if evolving else e_n
-            code, p = rate(work.y, e, work.d, norm, work.w, c, t, work.law)
-            if code != _OK:
-                return code, worst
-            for i in range(n):
-                work.known_error[i] = -_ERROR_FACTOR * (1.0 - GAMMA) * h * work.law.rate[i]
-        work.base[:] = work.y
-        work.stage[:] = work.y
-        work.stage_sensitivity[:] = work.sensitivity
-        for stage in range(2):
-            time = begin + (GAMMA if stage == 0 else 1.0) * h
-            e = e_n + (1.0 + e_n) * expm1(time * volume) if evolving else e_n
-            code, p = _solve_stage(work, e, norm, GAMMA * h, c, t)
-            if code != _OK:
-                return code, worst
-            if want_tangent:
-                e_by_volume = (1.0 + e) * time if evolving else 0.0
-                add_input_derivative(work.stage, work.d, GAMMA * h, e_by_volume, p, t, work.law, work.stage_sensitivity)
-                solve(work.matrix, work.pivots, work.stage_sensitivity, n, inputs)
-            if stage == 0:
-                # h f(Y_1) is known from the stage equation itself.
-                ratio = (1.0 - GAMMA) / GAMMA
-                for i in range(n):
-                    first = work.stage[i] - work.y[i]
-                    work.base[i] = work.y[i] + ratio * first
-                    work.known_error[i] += _ERROR_FACTOR / GAMMA * first
-                if want_tangent:
-                    for i in range(n):
-                        for k in range(inputs):
-                            before = work.sensitivity[i, k]
-                            work.stage_sensitivity[i, k] = before + ratio * (work.stage_sensitivity[i, k] - before)
-        if estimate:
-            for i in range(n):
-                work.correction[i, 0] = work.known_error[i] - _ERROR_FACTOR * (work.stage[i] - work.base[i])
-            solve(work.matrix, work.pivots, work.correction, n, 1)
-            for i in range(n):
-                worst = max(worst, -abs(work.correction[i, 0]) / p.trace)
-        work.y[:] = work.stage
-        work.sensitivity[:] = work.stage_sensitivity
-    return _OK, worst
+
+@kernel
+def _store_failure(
+    q: int, forces_n: Array, e_n: Array, forces: Array, e: Array, tangent: Array, want_tangent: bool
+) -> None:
+    """Write the committed values as those of a point that failed."""
+    forces[q, :] = forces_n[q, :]
+    e[q] = e_n[q]
+    if want_tangent:
+        tangent[q, :, :] = 0.0
+
+
+@kernel
+def _more_substeps(number: int, failed: bool, estimate: float, tolerance: float) -> int:
+    """Number of substeps to try next, from the error estimate of a number or, where it failed, without one."""
+    growth = 2.0 if failed else min(4.0, 1.1 * (estimate / tolerance) ** (1.0 / _ORDER_OF_ERROR))
+    return max(number + 1, int(growth * number))
 
 
 @cache
@@ -273,18 +458,23 @@ def build_update(layout: Layout, *, spin: bool = True, void_ratio: bool = True) 
         - c: :class:`~cosserat_fx.material.KernelConstants`;
         - tolerance: of the estimate, relative to the trace of the stress; max_substeps: its limit.
 
-        Where a point fails, its trial values are its committed ones and its status says why. Where ``adapt``, the
-        points after it keep the number of substeps they have, so their status and error mean little; the worst
-        status and its row are then those of the point that failed first.
+        Where a point fails, its trial values are its committed ones and its status says why. The row is the first with
+        the worst status. Where ``adapt``, a point that fails at the largest number of substeps ends the search of all
+        others, whose trial values, status and error may then be those of an attempt or the committed ones.
     """
-    t = tables(layout, spin=spin)
-    n = len(layout.forces)
-    n_stress = len(layout.stress)
-    n_driven = len(layout.strain_slots)
-    n_spin = len(layout.spin)
+    return partial(_compiled(), np.zeros((row.NUMBER, LANES)), tables(layout, spin=spin), void_ratio)
+
+
+@cache
+def _compiled() -> Update:
+    """The kernel for all layouts and effects, which numba keeps on disk for as long as the sources stay as they are."""
+    sources = fingerprint()
 
     @njit(cache=True, error_model="numpy", nogil=True)
     def update(
+        rows: Array,
+        t: Tables,
+        evolving: bool,
         increments: Array,
         points: IntArray,
         forces_n: Array,
@@ -301,70 +491,42 @@ def build_update(layout: Layout, *, spin: bool = True, void_ratio: bool = True) 
         adapt: bool,
         want_tangent: bool,
     ) -> tuple[int, int]:
-        work = make_work(n, n_driven, n_spin)
-        worst = 0
-        where = -1
-        for row in range(len(points)):
-            q = points[row]
-            size = 0.0
-            work.d[:] = 0.0
-            for k in range(n_driven):
-                length = 1.0 if t.slots[k] < n_stress else c.d50
-                work.d[t.slots[k]] = length * increments[row, k]
-                size += work.d[t.slots[k]] ** 2
-            for k in range(n_spin):
-                work.w[k] = increments[row, n_driven + k]
-                size += work.w[k] ** 2
-            number = substeps[q]
-            finite = isfinite(size)
-            code = _OK if finite else _NOT_FINITE
-            while finite:
-                for i in range(n):
-                    work.y[i] = forces_n[q, i] / (1.0 if i < n_stress else c.d50)
-                code, estimate = _integrate(work, n_spin, e_n[q], void_ratio, number, adapt, want_tangent, c, t)
-                if not adapt:
-                    break
-                error[q] = estimate
-                if code == _OK and estimate <= tolerance:
-                    break
-                if number >= max_substeps:
-                    code = _SUBSTEPS if code == _OK else code
-                    break
-                if worst >= FIRST_FAILURE:
-                    break  # another point has failed already, and with it all that this one could be used for
-                growth = 2.0
-                if code == _OK:
-                    growth = min(4.0, 1.1 * (estimate / tolerance) ** (1.0 / _ORDER_OF_ERROR))
-                number = min(max_substeps, max(number + 1, int(growth * number)))
-            substeps[q] = number
-            if code == _OK:
-                volume = 0.0
-                for i in range(n):
-                    forces[q, i] = work.y[i] * (1.0 if i < n_stress else c.d50)
-                    volume += t.normal[i] * work.d[i]
-                e[q] = e_n[q] + (1.0 + e_n[q]) * expm1(volume) if void_ratio else e_n[q]
-                trace = 0.0
-                for i in range(n):
-                    trace += t.normal[i] * work.y[i]
-                if e[q] > c.e_i0 * exp(-((-trace / c.h_s) ** c.n)):
-                    code = _LOOSE
-                if want_tangent:
-                    for k in range(n_driven):
-                        row_scale = 1.0 if t.slots[k] < n_stress else c.d50
-                        for j in range(n_driven + n_spin):
-                            column_scale = row_scale
-                            if j < n_driven and t.slots[j] >= n_stress:
-                                column_scale *= c.d50
-                            tangent[q, k, j] = column_scale * work.sensitivity[t.slots[k], j]
-            else:
-                forces[q, :] = forces_n[q, :]
-                e[q] = e_n[q]
-                if want_tangent:
-                    tangent[q, :, :] = 0.0
-            status[q] = code
-            if code > worst and not (adapt and worst >= FIRST_FAILURE):
-                worst = code
-                where = row
+        assert len(sources)  # numba tells kernels by what they use
+        for q in points:
+            status[q] = _UPDATED
+        pending = np.arange(len(points), dtype=np.int32)
+        worst, where = _UPDATED, -1
+        while len(pending) and not (adapt and worst >= FIRST_FAILURE):
+            chosen, others = _choose(pending, points, status, substeps)
+            left = 0
+            for first in range(0, len(chosen), LANES):
+                block = chosen[first : first + LANES]
+                _load(rows, block, increments, points, forces_n, e_n, substeps, c, t)
+                _integrate(rows, len(block), evolving, adapt, want_tangent, c, t)
+                for lane in range(len(block)):
+                    at, q = block[lane], points[block[lane]]
+                    status[q] = int(rows[row.FAILURE, lane])
+                    failed = status[q] != _UPDATED
+                    if adapt:
+                        error[q] = rows[row.ESTIMATE, lane]
+                        if status[q] != _NUMBERLESS and (failed or not error[q] <= tolerance):
+                            if substeps[q] < max_substeps:
+                                more = _more_substeps(substeps[q], failed, error[q], tolerance)
+                                substeps[q] = min(max_substeps, more)
+                                chosen[left] = at
+                                left += 1
+                                continue
+                            status[q] = status[q] if failed else _SUBSTEPS
+                            failed = True
+                    if failed:
+                        _store_failure(q, forces_n, e_n, forces, e, tangent, want_tangent)
+                    else:
+                        status[q] = _store(rows, lane, q, e_n, forces, e, tangent, evolving, want_tangent, c, t)
+                    if status[q] > worst or (status[q] == worst > _UPDATED and at < where):
+                        worst, where = int(status[q]), at
+            pending = np.concatenate((others, chosen[:left]))
+        for at in pending:
+            _store_failure(points[at], forces_n, e_n, forces, e, tangent, want_tangent)
         return worst, where
 
     return update

@@ -24,9 +24,8 @@ from reference_law import rate as reference_rate
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
+from cosserat_fx import rows as row
 from cosserat_fx.hypoplasticity import (
-    LawArrays,
-    Point,
     Status,
     add_input_derivative,
     critical_stress,
@@ -56,25 +55,49 @@ class Law:
     rate: Array
     matrix: Array
     columns: Array
-    point: Point
+    f_s: float
+    f_d: float
+    a: float
+    norm: float
     d: Array
 
 
 def law_at(one: Layout, forces: Array, void_ratio: float, increment: Array, *, spin: bool = True) -> Law:
-    """Calls the kernel's functions; couple stresses over d50 and curvatures times d50 come back."""
+    """Calls the kernel's functions in a lane among others; couple stresses over d50, curvatures times d50 come back."""
     t = tables(one, spin=spin)
-    n, driven = len(one.forces), len(one.strain_slots)
-    arrays = LawArrays(*(np.full(size, np.nan) for size in (n, n, n, n, n, n, 6, 6)))
+    n, driven, inputs = len(one.forces), len(one.strain_slots), one.n_inputs
+    rows, lanes, lane = np.full((row.NUMBER, row.LANES), np.nan), 3, 1
     d, w = np.zeros(n), (increment * strain_scale(one))[driven:]
     d[t.slots] = (increment * strain_scale(one))[:driven]
     norm = float(np.sqrt(np.sum(t.weight * d**2)))
-    y = forces * stress_scale(one)
-    code, point = rate(y, void_ratio, d, norm, w, C, t, arrays)
-    matrix, columns = np.full((n, n), np.nan), np.zeros((n, one.n_inputs))
-    if code == Status.OK:
-        stage_matrix(d, w, 1.0, point, t, arrays, matrix)
-        add_input_derivative(y, d, 1.0, 1 + void_ratio, point, t, arrays, columns)
-    return Law(code, arrays.rate.copy(), matrix, columns, point, d)
+    for first, values in (
+        (row.D, d),
+        (row.WEIGHTED_D, t.weight * d),
+        (row.SPIN, w),
+        (row.Y, forces * stress_scale(one)),
+        (row.NORM, np.array([norm])),
+        (row.INVERSE_NORM, np.array([1 / norm if norm else 0.0])),
+        (row.E, np.array([void_ratio])),
+        (row.E_BY_VOLUME, np.array([1 + void_ratio])),
+        (row.SCALE, np.array([1.0])),
+        (row.STAGE_SENSITIVITY, np.zeros(n * inputs)),
+    ):
+        rows[first : first + len(values), lane] = values
+    rate(rows, row.Y, lanes, C, t)
+    stage_matrix(rows, lanes, t)
+    add_input_derivative(rows, row.Y, lanes, t)
+    f_s, f_d, a = rows[[row.F_S, row.F_D, row.A], lane]
+    return Law(
+        code=int(rows[row.CODE, lane]),
+        rate=rows[row.RATE : row.RATE + n, lane].copy(),
+        matrix=rows[row.MATRIX : row.MATRIX + n * n, lane].reshape(n, n).copy(),
+        columns=rows[row.STAGE_SENSITIVITY : row.STAGE_SENSITIVITY + n * inputs, lane].reshape(n, inputs).copy(),
+        f_s=float(f_s),
+        f_d=float(f_d),
+        a=float(a),
+        norm=norm,
+        d=d,
+    )
 
 
 def law_in_solid(stress: Array, void_ratio: float, strain: Array, *, spin: Array | None = None) -> Law:
@@ -98,9 +121,8 @@ def random_deviators(m: int, seed: int) -> Array:
 
 
 def critical_stress_of(deviator: Array) -> tuple[float, Array]:
-    gradient = np.full(6, np.nan)
-    components_of_s = deviator[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-    return critical_stress(C.c_phi, components_of_s, gradient), gradient
+    a, *gradient = critical_stress(C.c_phi, *deviator[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])
+    return a, np.array(gradient)
 
 
 # --- the numbers of the theory page, at sigma = -100 kPa I and e = 0.6 ---
@@ -174,7 +196,7 @@ def test_the_stress_rate_vanishes_in_critical_states() -> None:
     for direction, size, sigma_kk in zip(directions, limit_size(directions), traces, strict=True):
         _, e_c, _ = characteristic_void_ratios(sigma_kk, SAND)
         speed = law_in_solid(sigma_kk * (np.eye(3) / 3 + size * direction), float(e_c), -direction)
-        assert np.abs(speed.rate).max() < 1e-13 * speed.point.f_s
+        assert np.abs(speed.rate).max() < 1e-13 * speed.f_s
 
 
 def test_stiffness_grows_as_the_power_1_minus_n_of_pressure_at_constant_relative_density() -> None:
@@ -200,7 +222,7 @@ def test_rates_are_those_of_the_reference_law(one: Layout) -> None:
     for q in range(len(forces)):
         law = law_at(one, forces[q], void_ratio[q], increments[q])
         assert law.code == Status.OK
-        assert np.abs(law.rate - expected[q]).max() < 1e-13 * law.point.f_s
+        assert np.abs(law.rate - expected[q]).max() < 1e-13 * law.f_s
 
 
 @pytest.mark.parametrize("one", LAYOUTS, ids=name)
@@ -235,7 +257,7 @@ def test_the_law_is_positively_homogeneous_of_degree_one(factor: float) -> None:
     for forces, void_ratio, increment in zip(*random_points(SOLID, 100, seed=5), strict=True):
         law = law_at(SOLID, forces, void_ratio, increment)
         faster = law_at(SOLID, forces, void_ratio, factor * increment)
-        assert np.abs(faster.rate - factor * law.rate).max() < 1e-13 * factor * law.point.f_s
+        assert np.abs(faster.rate - factor * law.rate).max() < 1e-13 * factor * law.f_s
 
 
 def test_the_law_is_isotropic() -> None:
@@ -254,7 +276,7 @@ def test_the_law_is_isotropic() -> None:
         increment = np.concatenate([turned(increments[q][:18], turn), spin_turned])
         law = law_at(SOLID, forces[q], void_ratio[q], increments[q])
         law_turned = law_at(SOLID, turned(forces[q], turn), void_ratio[q], increment)
-        assert np.abs(law_turned.rate - turned(law.rate, turn)).max() < 1e-13 * law.point.f_s
+        assert np.abs(law_turned.rate - turned(law.rate, turn)).max() < 1e-13 * law.f_s
 
 
 @pytest.mark.parametrize("one", [one for one in LAYOUTS if one.polar], ids=name)

@@ -98,7 +98,7 @@ def build_power(layout: Layout, *, finite: bool) -> Power:
         weights: Array,
         c: KernelConstants,
     ) -> tuple[float, float, float]:
-        deviator, gradient = np.zeros(6), np.zeros(6)
+        deviator = np.zeros(6)
         z = np.zeros(n)
         work = 0.0
         recoverable = 0.0
@@ -146,7 +146,8 @@ def build_power(layout: Layout, *, finite: bool) -> Power:
                 z[i] /= trace
                 deviator[t.symmetric[i]] += t.share[i] * z[i] - t.normal[i] / 3.0
             f_s = state_factors(trace, 0.5 * (e_n[q] + e[q]), c)[0]
-            a = critical_stress(c.c_phi, deviator, gradient)
+            s = deviator
+            a = critical_stress(c.c_phi, s[0], s[1], s[2], s[3], s[4], s[5])[0]
             if not (f_s > 0.0 and a > 0.0):
                 continue  # the line leaves the law's domain, in which both of its ends are
             along = 0.0
