@@ -24,7 +24,7 @@ def test_the_exponential_neither_overflows_nor_vanishes() -> None:
 
 
 def test_the_logarithm_over_all_normal_numbers() -> None:
-    x = np.concatenate((np.geomspace(1e-307, 1e307, 20_001), 1 + np.linspace(-1e-3, 1e-3, 2000)))
+    x = np.concatenate((np.geomspace(1e-307, 1e307, 20_000), 1 + np.linspace(-1e-3, 1e-3, 2000)))
     assert logarithm(1.0) == 0
     assert relative_error(np.array([logarithm(v) for v in x]), np.log(x)) < 4 * SPACING
 
