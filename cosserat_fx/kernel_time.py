@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import timeit
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-import numba.core.event
 import numpy as np
 
 from cosserat_fx.effects import Effect
@@ -26,11 +23,7 @@ _POINTS = 256
 _REPEATS = 15
 
 
-class NotCompiledError(RuntimeError):
-    """A kernel is neither in this process nor in the cache on disk."""
-
-
-def kernel_shares(listed: list[Effect], body: Body, *, compiling: bool) -> list[Effect]:
+def kernel_shares(listed: list[Effect], body: Body) -> list[Effect]:
     """The effects with their shares of the update's time, by how much it is shorter without each of them. Collective.
 
     Only the first rank measures; the others get to know.
@@ -38,11 +31,9 @@ def kernel_shares(listed: list[Effect], body: Body, *, compiling: bool) -> list[
     Args:
         listed: the effects of the body.
         body: what is run.
-        compiling: whether kernels that no earlier run has left in the cache are compiled for it, which takes some ten
-            seconds each; without it, their effects stay without a share.
     """
     problem = body.problem
-    shares = _shares(body, compiling=compiling) if problem.comm.rank == 0 else {}
+    shares = _shares(body) if problem.comm.rank == 0 else {}
     shares = problem.comm.bcast(shares)
     return [replace(effect, kernel_time=shares.get(effect.name)) for effect in listed]
 
@@ -52,7 +43,7 @@ def seconds_per_substep(body: Body) -> float:
     return _measure(body, body.problem.layout, void_ratio=body.problem.numerics.void_ratio)
 
 
-def _shares(body: Body, *, compiling: bool) -> dict[str, float]:
+def _shares(body: Body) -> dict[str, float]:
     full, evolving = body.problem.layout, body.problem.numerics.void_ratio
     spin = bool(full.spin)
     without: dict[str, tuple[Layout, bool]] = {}
@@ -63,15 +54,10 @@ def _shares(body: Body, *, compiling: bool) -> dict[str, float]:
     if evolving:
         without["evolving void ratio"] = full, False
     seconds = seconds_per_substep(body)
-    shares = {}
-    for name, (components, void_ratio) in without.items():
-        try:
-            with _compilation(allowed=compiling):
-                rest = _measure(body, components, void_ratio=void_ratio) / seconds
-                shares[name] = max(0.0, 1 - rest)
-        except NotCompiledError:
-            continue
-    return shares
+    return {
+        name: max(0.0, 1 - _measure(body, components, void_ratio=void_ratio) / seconds)
+        for name, (components, void_ratio) in without.items()
+    }
 
 
 def _measure(body: Body, components: Layout, *, void_ratio: bool) -> float:
@@ -96,24 +82,3 @@ def _measure(body: Body, components: Layout, *, void_ratio: bool) -> float:
         update(increments, points, *state, c, 1.0, MAX_SUBSTEPS, False, True)
 
     return min(timeit.repeat(call, number=1, repeat=_REPEATS)) / _POINTS
-
-
-@contextmanager
-def _compilation(*, allowed: bool) -> Iterator[None]:
-    """Raise :class:`NotCompiledError` where numba begins to compile what may only be loaded."""
-    if allowed:
-        yield
-        return
-    with numba.core.event.install_listener("numba:compile", _Refusal()):
-        yield
-
-
-class _Refusal(numba.core.event.Listener):
-    """Ends a compilation as it begins."""
-
-    def on_start(self, event: numba.core.event.Event) -> None:
-        """Refuse."""
-        raise NotCompiledError
-
-    def on_end(self, event: numba.core.event.Event) -> None:
-        """There is nothing to end."""

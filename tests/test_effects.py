@@ -7,22 +7,20 @@ import numpy as np
 import pages
 import pytest
 from layers import difference
-from numba import njit
 from planes import BASE, BIAXIAL, PRESSURE
 from scenes import change
 
-from cosserat_fx import audit, kernel_time
+from cosserat_fx import audit
 from cosserat_fx._compat import MPI
 from cosserat_fx.audit import Audit
 from cosserat_fx.bodies import Body, build
 from cosserat_fx.conditions import Field
 from cosserat_fx.effects import Effect, effects
-from cosserat_fx.kernel_time import IN_KERNEL, NotCompiledError, kernel_shares, seconds_per_substep
+from cosserat_fx.kernel_time import IN_KERNEL, kernel_shares, seconds_per_substep
 from cosserat_fx.numerics import LARGE_DISPLACEMENT
 from cosserat_fx.results import Run, read_run
 from cosserat_fx.run import run
 from cosserat_fx.scene import parse_scene
-from cosserat_fx.update import build_update
 
 NAMES = [
     *("dimension", "polar", "finite strain", "spin", "evolving void ratio"),
@@ -171,7 +169,7 @@ def test_without_weight_there_is_no_load_in_the_body(kind: str) -> None:
 def test_the_effects_in_the_kernel_have_shares_of_its_time() -> None:
     """The stress of a classical continuum has fewer components, whose equations are solved faster."""
     it = body("layer")
-    listed = kernel_shares(effects(it), it, compiling=True)
+    listed = kernel_shares(effects(it), it)
     shares = {effect.name: effect.kernel_time for effect in listed if effect.kernel_time is not None}
     assert shares.keys() == set(IN_KERNEL)
     assert all(0 <= share < 1 for share in shares.values())
@@ -181,25 +179,7 @@ def test_the_effects_in_the_kernel_have_shares_of_its_time() -> None:
 
 def test_only_what_is_on_has_a_share() -> None:
     it = body("layer", OFF["polar"])
-    assert of(kernel_shares(effects(it), it, compiling=True), "polar").kernel_time is None
-
-
-def test_a_kernel_that_nobody_compiled_is_not_compiled_to_measure_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    it = body("layer")
-    full = it.problem.layout
-
-    def without(components: Any, **keywords: Any) -> Any:
-        if components is full and keywords["void_ratio"]:
-            return measured(components, **keywords)
-        return njit(lambda *arguments: (0, -1))
-
-    measured = build_update
-    monkeypatch.setattr(kernel_time, "build_update", without)
-    listed = kernel_shares(effects(it), it, compiling=False)
-    assert all(effect.kernel_time is None for effect in listed)
-    assert any(effect.kernel_time is not None for effect in kernel_shares(effects(it), it, compiling=True))
-    with pytest.raises(NotCompiledError), kernel_time._compilation(allowed=False):
-        njit(lambda x: x)(1)
+    assert of(kernel_shares(effects(it), it), "polar").kernel_time is None
 
 
 # -- the audit ---------------------------------------------------------------------------------------------------------
