@@ -1,9 +1,9 @@
 # make demo   the medium rough layer, from its scene file to the figures
 # make test   the test suite
 # make lint   ruff and mypy
-# make bench  what accuracy costs in time, measured
+# make bench  the performance, measured: docs/performance.md
 # make docs   the figures and tables of the documentation, made anew
-# make reliability   those of its pages on stability and reliability, which take hours
+# make reliability   those of its pages on stability, reliability and requested accuracy, which take hours
 # Each makes the environment .venv first, once, with DOLFINx and everything else from PyPI.
 # PYTHON=/path/to/python chooses the Python to make it with.
 
@@ -34,17 +34,30 @@ lint: .venv/.complete
 	.venv/bin/ruff format --check
 	.venv/bin/mypy
 
+performance := kernel_speed newton_floor overhead external_operator ranks growth effects_price prediction
+
 bench: .venv/.complete
-	.venv/bin/python benchmarks/layer_accuracy.py --out runs/layer_accuracy
-	.venv/bin/python benchmarks/element_study.py --quick --out runs/element_study
-	echo "Tables and figures are in runs/layer_accuracy and runs/element_study."
+	.venv/bin/python -m pip install --quiet --disable-pip-version-check --no-deps dolfinx-external-operator
+	for part in $(performance); do
+	  .venv/bin/python benchmarks/$$part.py --out runs/performance
+	  sed -i -e "/^<!-- $$part -->$$/,/^<!-- end -->$$/{//!d}" -e "/^<!-- $$part -->$$/r runs/performance/$$part.md" docs/performance.md
+	done
+	cp runs/performance/*.png docs/figures/
+	echo "docs/performance.md is up to date; tables and figures are in runs/performance."
 
 # What the pages show and a run can make anew.
 docs: demo bench
 	cp runs/$(scene)/figures/layer.png docs/figures/$(scene).png
+	.venv/bin/python benchmarks/layer_accuracy.py --out runs/layer_accuracy
 	cp runs/layer_accuracy/*.png docs/figures/
 	sed -i '/^<!-- tables -->$$/q' docs/layer-accuracy.md
 	cat runs/layer_accuracy/tables.md >> docs/layer-accuracy.md
+	.venv/bin/cosserat-fx study demos/$(scene).toml --out runs/study_$(scene)
+	for part in cost rates where; do
+	  cp runs/study_$(scene)/figures/$$part.png docs/figures/study_$$part.png
+	done
+	sed -n '/^## Reference/,/^## Turned alone/{/^## Turned/!s/^## /### /;/^## Turned/!p}' runs/study_$(scene)/study.md > runs/study_$(scene)/page.md
+	sed -i -e '/^<!-- study -->$$/,/^<!-- end -->$$/{//!d}' -e '/^<!-- study -->$$/r runs/study_$(scene)/page.md' docs/study.md
 	.venv/bin/python benchmarks/element_study.py --out runs/element_study
 	cp runs/element_study/*.png docs/figures/
 	sed -i '/^<!-- tables -->$$/q' docs/elements.md
@@ -65,12 +78,15 @@ docs: demo bench
 	  cp runs/plane_demos/rough_strip_$${strip}_rough/figures/state_03.png docs/figures/rough_strip_$${strip}_rough.png
 	done
 
-# What the pages on stability and reliability show; hours on two cores, and gone on with where it was interrupted.
+# What the pages on stability, reliability and requested accuracy show; hours on two cores, and gone on with where it was interrupted.
 reliability: .venv/.complete
 	.venv/bin/python benchmarks/stability_atlas.py --out runs/stability_atlas
 	cp runs/stability_atlas/*.png docs/figures/
 	sed -i '/^<!-- tables -->$$/q' docs/stability.md
 	cat runs/stability_atlas/tables.md >> docs/stability.md
+	.venv/bin/python benchmarks/accuracy_promise.py --out runs/accuracy_promise
+	cp runs/accuracy_promise/accuracy_promise.png docs/figures/
+	sed -i -e "/^<!-- accuracy_promise -->$$/,/^<!-- end -->$$/{//!d}" -e "/^<!-- accuracy_promise -->$$/r runs/accuracy_promise/accuracy_promise.md" docs/accuracy.md
 	.venv/bin/python benchmarks/checkpoint_cost.py --out runs/checkpoint_cost
 	.venv/bin/python benchmarks/faults.py --out runs/faults
 	.venv/bin/python benchmarks/fuzz.py --cases 6000 --out runs/fuzz

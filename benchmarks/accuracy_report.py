@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from measured import QUANTITIES, Converged, Measured, Quantity, limit
+from measured import QUANTITIES, Converged, Measured, Quantity
 
 from cosserat_fx.output.page import figure
+from cosserat_fx.studies.convergence import limit
+from cosserat_fx.studies.tables import markdown
 from cosserat_fx.typing import Array
 
 LIMIT = 0.2
@@ -75,7 +77,7 @@ class Report:
             ]
             rates = ["" if math.isnan(rate) else f"{rate:.2f}" for rate in (c.step_rate, c.mesh_rate)]
             rows.append([c.wall, f"{c.quantity} ({unit})", *shown, *parts, *rates])
-        return _table([*heads, "rate in steps", "rate in mesh"], rows)
+        return markdown([*heads, "rate in steps", "rate in mesh"], rows)
 
     def _default_table(self) -> str:
         heads = ["wall", "peak error (%)", "residual error (%)", f"both within {LIMIT:g} %"]
@@ -86,7 +88,7 @@ class Report:
             within = "yes" if max(map(abs, errors)) <= LIMIT else "no"
             counts = [str(run.steps), str(run.iterations), str(run.cutbacks)]
             rows.append([wall, *(f"{error:+.3f}" for error in errors), within, *counts])
-        return _table([*heads, "steps", "iterations", "cutbacks"], rows)
+        return markdown([*heads, "steps", "iterations", "cutbacks"], rows)
 
     def _integration_table(self, wall: str) -> str:
         rows = []
@@ -95,14 +97,14 @@ class Report:
             effort = _effort(run, self.default(wall))
             rows.append([str(run.points), str(run.cells), *errors, f"{1e3 * run.thickness:.3f}", *effort])
         heads = ["points", "cells", *(f"{quantity} error (%)" for quantity in QUANTITIES), "thickness (mm)"]
-        return _table([*heads, *_EFFORT], rows)
+        return markdown([*heads, *_EFFORT], rows)
 
     def _hard_table(self) -> str:
         rows = []
         for run in (run for run in self._runs if run.study == "hard case"):
             outcome = f"fails at {1e3 * run.end:.2f} mm" if run.failure else "done"
             rows.append([run.case, str(run.points), outcome, *_effort(run, self.default(run.wall))])
-        return _table(["case", "points", "outcome", *_EFFORT], rows)
+        return markdown(["case", "points", "outcome", *_EFFORT], rows)
 
     def _knob_table(self, wall: str) -> str:
         rows = []
@@ -113,7 +115,7 @@ class Report:
                 [f"{run.study} {run.case}", *errors, *counts, f"{run.seconds / self.default(wall).seconds:.1f}"]
             )
         heads = ["varied alone", *(f"{quantity} error (%)" for quantity in QUANTITIES)]
-        return _table([*heads, "steps", "iterations", "cutbacks", "most substeps", "relative time"], rows)
+        return markdown([*heads, "steps", "iterations", "cutbacks", "most substeps", "relative time"], rows)
 
 
 _EFFORT = ["s12 uneven (% of p)", "s21 jump (% of p)", "steps", "iterations", "cutbacks", "relative time"]
@@ -127,11 +129,6 @@ def _effort(run: Measured, default: Measured) -> list[str]:
 
 def _small(percent: float) -> str:
     return f"{percent:.1f}" if percent > 0.05 else f"{percent:.0e}"
-
-
-def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    lines = [heads, ["---"] * len(heads), *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 # -- figures -----------------------------------------------------------------------------------------------------------

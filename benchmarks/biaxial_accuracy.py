@@ -8,7 +8,7 @@ serially, in about ten minutes.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -24,6 +24,7 @@ from cosserat_fx.output.plane_fields import PlaneState, read_states
 from cosserat_fx.results import Run, read_run
 from cosserat_fx.run import run
 from cosserat_fx.scene import load_scene
+from cosserat_fx.studies.tables import markdown
 
 SCENE = Path(__file__).resolve().parents[1] / "demos" / "biaxial.toml"
 CELLS = ((16, 56), (32, 112), (48, 168))
@@ -141,12 +142,12 @@ def tables(polar: Sequence[Test], classical: Sequence[Test]) -> str:
     heads_of_runs = ["cells (d50)", "steps asked (mm)", *QUANTITIES, "steps", "iterations", "passages"]
     return "\n\n".join(
         [
-            "### Converged values\n\n" + _table(heads, converged),
-            "### Values\n\n" + _table(heads_of_runs, [_row(test, {}) for test in polar]),
+            "### Converged values\n\n" + markdown(heads, converged),
+            "### Values\n\n" + markdown(heads_of_runs, [_row(test, {}) for test in polar]),
             "### Errors (%) against the converged values\n\n"
-            + _table(heads_of_runs[:compared], [_row(test, limit)[:compared] for test in polar]),
+            + markdown(heads_of_runs[:compared], [_row(test, limit)[:compared] for test in polar]),
             "### Without polar terms\n\n"
-            + _table(
+            + markdown(
                 [*heads_of_runs[:1], *heads_of_runs[2:], "how it ended"],
                 [[_row(test, {})[0], *_row(test, {})[2:], _ending(test)] for test in classical],
             ),
@@ -167,11 +168,6 @@ def _row(test: Test, limit: Mapping[str, float]) -> list[str]:
 
 def _ending(test: Test) -> str:
     return "done" if test.reason is None else f"stopped at {1e3 * test.shortening[-1]:.2f} mm: {test.reason}"
-
-
-def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    lines = [f"| {' | '.join(line)} |" for line in (heads, *rows)]
-    return "\n".join([lines[0], "|" + "---|" * len(heads), *lines[1:]])
 
 
 def draw(polar: Sequence[Test], classical: Sequence[Test], file: Path) -> None:

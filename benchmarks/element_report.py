@@ -10,9 +10,9 @@ from typing import Literal
 import numpy as np
 from element_meshes import Pattern
 from element_runs import CASES, ElementRun
-from measured import limit
 
 from cosserat_fx.elements import DEFAULT
+from cosserat_fx.studies.convergence import limit
 from cosserat_fx.typing import Array
 
 type Quantity = Literal["stress", "thickness"]

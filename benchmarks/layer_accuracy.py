@@ -20,13 +20,14 @@ from typing import Annotated
 import numpy as np
 import typer
 from accuracy_report import Report, draw_costs, draw_mesh_errors
-from measured import QUANTITIES, Converged, Measured, Quantity, limit, walk
+from measured import QUANTITIES, Converged, Measured, Quantity, walk
 from rich.console import Console
 
 from cosserat_fx._compat import MPI
 from cosserat_fx.layer import build
 from cosserat_fx.scene import load_scene
 from cosserat_fx.stepping import StepControl, Stepper
+from cosserat_fx.studies.convergence import limit
 
 DEMOS = Path(__file__).resolve().parents[1] / "demos"
 WALLS = {"very rough": "layer_very_rough.toml", "medium rough": "layer_medium_rough.toml"}
@@ -190,7 +191,7 @@ class Bench:
         """The limit of the steps on one mesh, corrected by what that mesh still misses."""
         step, step_error, step_rate = limit([run.value(quantity) for run in steps])
         fine, mesh_error, mesh_rate = limit([run.value(quantity) for run in mesh])
-        value = step + fine - mesh[base].value(quantity)
+        value = float(step + fine - mesh[base].value(quantity))
         local_error = abs(local[1].value(quantity) - local[0].value(quantity))
         return Converged(wall, quantity, value, step_error, mesh_error, local_error, step_rate, mesh_rate)
 

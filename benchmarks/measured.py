@@ -1,9 +1,8 @@
-"""What one run of a layer comes to, and where a sequence of ever finer runs goes."""
+"""What one run of a layer comes to, and what a converged value is made of."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from time import process_time
 from typing import Any, Literal
@@ -103,25 +102,6 @@ class Converged:
     def error(self) -> float:
         """Bound of the whole error."""
         return self.step_error + self.mesh_error + self.local_error
-
-
-def limit(values: Sequence[float]) -> tuple[float, float, float]:
-    """Where a sequence goes whose resolution doubles from one value to the next.
-
-    Args:
-        values: at least three, from coarse to fine.
-
-    Returns:
-        Richardson's extrapolation where the last three values show a rate between 0.5 and 2.5, otherwise the last
-        value; a bound of its error; the rate or nan. The bound is the largest of the last difference, a quarter of
-        the one before (the last may be small by chance) and the extrapolation's correction.
-    """
-    before, last = values[-2] - values[-3], values[-1] - values[-2]
-    ratio = before / last if last else math.inf
-    clean = 2**0.5 < ratio < 2**2.5
-    correction = last / (ratio - 1) if clean else 0.0
-    error = max(abs(last), abs(before) / 4, abs(correction))
-    return values[-1] + correction, error, math.log2(ratio) if clean else math.nan
 
 
 def walk(layer: Layer, stepper: Stepper) -> dict[str, Any]:

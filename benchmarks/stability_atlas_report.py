@@ -10,7 +10,7 @@ import numpy as np
 from stability_atlas_runs import ENDINGS, Entry
 from stability_atlas_scenes import AXES, WALKS
 
-_QUANTITIES = ("steps", "iterations", "cutbacks", "passages", "substeps", "seconds")
+_QUANTITIES = ("steps", "iterations", "cutbacks", "passages", "jumps", "substeps", "seconds")
 
 
 class Report:

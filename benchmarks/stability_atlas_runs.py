@@ -40,7 +40,7 @@ class Outcome:
             "crashed" with anything but a :class:`~cosserat_fx.stepping.SteppingError`.
         reason: what the program said, empty where it is done.
         travelled: part of the path that was gone.
-        steps, iterations, cutbacks, passages: totals.
+        steps, iterations, cutbacks, passages, jumps: totals.
         substeps: largest number of local substeps of any point at the end of any step.
         seconds: of the processor.
         finite: whether every committed field holds numbers alone.
@@ -53,6 +53,7 @@ class Outcome:
     iterations: int
     cutbacks: int
     passages: int
+    jumps: int
     substeps: int
     seconds: float
     finite: bool
@@ -95,7 +96,7 @@ def walk(scene: AtlasScene, *, max_seconds: float = MAX_SECONDS) -> Outcome:
     layer = build(parsed, MPI.COMM_SELF)
     ending: Ending = "done"
     reason, travel = "", 0.0
-    steps = iterations = cutbacks = passages = substeps = 0
+    steps = iterations = cutbacks = passages = jumps = substeps = 0
     try:
         with time_limit(max_seconds):
             for step in layer.stepper:
@@ -103,6 +104,7 @@ def walk(scene: AtlasScene, *, max_seconds: float = MAX_SECONDS) -> Outcome:
                 iterations += step.iterations
                 cutbacks += step.cutbacks
                 passages += step.passages
+                jumps += step.jumps
                 substeps = max(substeps, int(layer.problem.state.substeps.max()))
     except SteppingError as error:
         ending, reason = "hung" if steps == MAX_STEPS else "stopped", str(error)
@@ -116,7 +118,7 @@ def walk(scene: AtlasScene, *, max_seconds: float = MAX_SECONDS) -> Outcome:
     del layer  # a process has not many
     gc.collect()
     seconds = process_time() - begin
-    return Outcome(ending, reason, part, steps, iterations, cutbacks, passages, substeps, seconds, finite)
+    return Outcome(ending, reason, part, steps, iterations, cutbacks, passages, jumps, substeps, seconds, finite)
 
 
 def _stepping(scene: AtlasScene) -> dict[str, float]:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from cosserat_fx import layer, plane
 from cosserat_fx._compat import MPI, PETSc
-from cosserat_fx.newton import PetscOption
+from cosserat_fx.accuracy.plan import Plan, plan
+from cosserat_fx.linear_solver import PetscOption
 from cosserat_fx.output.layer_recording import LayerRecording
 from cosserat_fx.output.plane_recording import PlaneRecording
 from cosserat_fx.output.recording import Recording
+from cosserat_fx.parallel import on_first_rank
 from cosserat_fx.scene import LayerScene, PlaneScene, Scene, SceneError
 
 type Body = layer.Layer | plane.Plane
@@ -27,11 +31,26 @@ def build(scene: Scene, comm: MPI.Intracomm, options: dict[str, PetscOption] | N
     """
     try:
         if isinstance(scene, LayerScene):
-            return layer.build(scene, comm, options)
+            return _layer(scene, comm, options)
         assert isinstance(scene, PlaneScene)
         return plane.build(scene, comm, options)
     except PETSc.Error as error:
         raise refused_by_petsc(error) from error
+
+
+def _layer(scene: LayerScene, comm: MPI.Intracomm, options: dict[str, PetscOption] | None) -> layer.Layer:
+    """The layer of a scene, which an accuracy may complete."""
+    if scene.accuracy is None:
+        return layer.build(scene, comm, options)
+
+    def planned() -> Plan:
+        try:
+            return plan(scene, options)
+        except PETSc.Error as error:  # which other ranks could not be told
+            raise refused_by_petsc(error) from error
+
+    found = on_first_rank(comm, planned)
+    return replace(layer.build(found.scene, comm, options), plan=found)
 
 
 def refused_by_petsc(error: PETSc.Error) -> SceneError:

@@ -1,4 +1,4 @@
-"""The command line: run, check, plot, info.
+"""The command line: run, check, study, plot, info.
 
 Exit status: 0 done; 2 bad input, with one message and nothing written; 3 the simulation stopped early, with the reason,
 and everything computed so far on disk. Modules that need DOLFINx are imported by the commands that need them.
@@ -73,6 +73,8 @@ def run(
         print(f"warning: {warning}", file=sys.stderr)
     if ledger.answer:
         console.print(f"answer: {ledger.answer}", highlight=False)
+    if ledger.accuracy:
+        console.print(ledger.accuracy, highlight=False)
     if ledger.reason:
         further = "; --resume goes on from there" if RunFolder(out).checkpoint.exists() else ""
         print(f"stopped early: {ledger.reason}. What was computed is in {out}{further}.", file=sys.stderr)
@@ -88,9 +90,6 @@ def run(
 def check(
     scene: SceneFile,
     overrides: Overrides = [],  # noqa: B006
-    measure: Annotated[
-        bool, typer.Option("--measure", help="Compiles what it lacks to tell each effect's share of the kernel's time.")
-    ] = False,
 ) -> None:
     """Validates a scene and prints its effects, sizes and expected cost, without running it."""
     loaded = _load(scene, overrides)
@@ -105,7 +104,7 @@ def check(
 
     try:
         body = with_forms(MPI.COMM_WORLD, lambda: build(loaded, MPI.COMM_WORLD))
-        listed = kernel_shares(effects(body), body, compiling=measure)
+        listed = kernel_shares(effects(body), body)
         cost = expected_cost(body)
     except SceneError as error:
         _refuse(str(error))
@@ -114,6 +113,36 @@ def check(
     console.print(str(cost), highlight=False)
     for warning in body.warnings:
         print(f"warning: {warning}", file=sys.stderr)
+
+
+@app.command()
+def study(
+    scene: SceneFile,
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="The study's folder; what is there is kept.")],
+    overrides: Overrides = [],  # noqa: B006
+    quick: Annotated[bool, typer.Option("--quick", help="Tries little, and coarsely.")] = False,
+    repeats: Annotated[int, typer.Option("--repeats", metavar="N", min=1, help="How often a run is timed.")] = 3,
+) -> None:
+    """Shows what accuracy costs in time: each knob of a scene is turned alone, then several together."""
+    ranks = _ranks()
+    if ranks is not None and ranks.size > 1:
+        _refuse(f"study: times runs of one rank each and cannot be started on {ranks.size} ranks; leave out mpirun")
+    _need_dolfinx()
+    from cosserat_fx.studies.study import StudyError
+    from cosserat_fx.studies.study import study as study_scene
+
+    console = _console()
+    try:
+        study_scene(scene, out, overrides=overrides, quick=quick, repeats=repeats, console=console)
+    except (OutputError, SceneError) as error:
+        _refuse(str(error))
+    except StudyError as error:
+        print(f"stopped early: {error}", file=sys.stderr)
+        raise typer.Exit(STOPPED) from None
+    except KeyboardInterrupt:
+        print("cosserat-fx: interrupted; the same command goes on", file=sys.stderr)
+        raise typer.Exit(BY_KEYBOARD) from None
+    console.print(f"done: see {out / 'study.md'} and {out / 'figures'}", highlight=False)
 
 
 @app.command()

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from time import perf_counter
 
 from cosserat_fx._compat import PETSc
 from cosserat_fx.bodies import Body, refused_by_petsc
-from cosserat_fx.kernel_time import seconds_per_substep
-from cosserat_fx.memory import FACTORISING, Footprint, available_memory, footprint, in_words, sizes_of
+from cosserat_fx.kernel_time import seconds_per_update
+from cosserat_fx.memory import Footprint, available_memory, footprint, in_words, sizes_of
 
-UPDATES_PER_STEP = 7
-ITERATIONS_PER_STEP = 5
-SUBSTEPS_PER_UPDATE = 2
-STEPS_TO_PEAK = 20
+UPDATES_PER_STEP = 8
+ITERATIONS_PER_STEP = 6
+STEPS_TO_PEAK = 18
 BAND_IN_GRAINS = 10.0
 """Typical figures of the default step control, from the entries of run.json of the demos."""
-_PHASES = ("strains", "residual assembly", "Jacobian assembly", "linear solve")
+_PHASES = ("strains", "Jacobian assembly", "linear solve")
 
 
 @dataclass(frozen=True)
@@ -44,12 +44,18 @@ class Cost:
     expected: Footprint
     available: float
 
+    @property
+    def seconds(self) -> float:
+        """Time of all steps, without the start and what is written (s)."""
+        return self.update_seconds + self.solver_seconds
+
     def __str__(self) -> str:
         """A few lines for the user."""
         factors = "" if self.factor_bytes is None else f", {self.factor_bytes / 1e6:.3g} MB of factors"
         return (
-            f"expected cost on {self.ranks} rank(s): about {self.steps} steps, {self.update_seconds:.2g} s of "
-            f"constitutive update, {self.solver_seconds:.2g} s of assembly and solution\n"
+            f"expected cost on {self.ranks} rank(s): about {self.steps} steps in {in_time(self.seconds)}, "
+            f"{in_time(self.update_seconds)} of it constitutive update, {in_time(self.solver_seconds)} assembly and "
+            "solution\n"
             f"memory: {self.state_bytes / 1e6:.3g} MB of state, {self.nonzeros} non-zeros{factors}; "
             f"about {in_words(self.expected.total)} in all, of {in_words(self.available)}"
         )
@@ -65,12 +71,11 @@ def expected_cost(body: Body) -> Cost:
         SceneError: PETSc cannot solve as the scene asks it to.
     """
     problem, control, path = body.problem, body.stepper.control, body.path
-    solver = body.stepper.solver.snes.getKSP().getPC().getType()
     band = min(BAND_IN_GRAINS * problem.material.d50, problem.geometry.smallest_extent)
     by_strain = path.length / min(control.strain * band, control.largest)
     steps = int(min(STEPS_TO_PEAK * (len(path.corners) - 1) + by_strain, control.max_steps))
     points, ranks = problem.sizes["quadrature_points"], problem.comm.size
-    updates = steps * UPDATES_PER_STEP * SUBSTEPS_PER_UPDATE * points / ranks
+    part = min(1.0, BAND_IN_GRAINS * problem.material.d50 / problem.geometry.smallest_extent)
     try:
         iteration = _seconds_per_iteration(body)
     except PETSc.Error as error:
@@ -78,13 +83,17 @@ def expected_cost(body: Body) -> Cost:
     return Cost(
         steps=steps,
         ranks=ranks,
-        update_seconds=updates * seconds_per_substep(body),
+        update_seconds=steps * UPDATES_PER_STEP * points / ranks * seconds_per_update(body, part),
         solver_seconds=steps * ITERATIONS_PER_STEP * iteration,
         state_bytes=points * problem.state.bytes_per_point,
         nonzeros=int(problem.matrix.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]),
         factor_bytes=_factor_bytes(body),
         expected=footprint(
-            body.scene, problem.numerics, sizes_of(problem.geometry), ranks=ranks, factorised=solver in FACTORISING
+            body.scene,
+            problem.numerics,
+            sizes_of(problem.geometry),
+            ranks=ranks,
+            linear=body.stepper.solver.linear.choice,
         ),
         available=available_memory(problem.comm),
     )
@@ -92,20 +101,30 @@ def expected_cost(body: Body) -> Cost:
 
 def _seconds_per_iteration(body: Body) -> float:
     """Time of strains, assembly and linear solution of one iteration from the initial state (s)."""
-    problem, seconds = body.problem, 0.0
+    problem = body.problem
     for _ in range(2):  # the first time, memory is taken and the matrix analysed
         before = {phase: problem.stopwatch.seconds.get(phase, 0.0) for phase in _PHASES}
         problem.apply(body.path.corners[0])
         body.stepper.solver.predict()
         problem.roll_back()
-        seconds = sum(problem.stopwatch.seconds.get(phase, 0.0) - before[phase] for phase in _PHASES)
-    return seconds
+    start = perf_counter()
+    problem.assemble_residual(problem.vector)
+    seconds = perf_counter() - start
+    return seconds + sum(problem.stopwatch.seconds.get(phase, 0.0) - before[phase] for phase in _PHASES)
 
 
 def _factor_bytes(body: Body) -> int | None:
     """Memory that MUMPS has allocated on all ranks for the factorisation just made (bytes)."""
     solver = body.stepper.solver
-    if not solver.sees_branches:
+    if not solver.linear.is_factorised:
         return None
     factors = solver.snes.getKSP().getPC().getFactorMatrix()
     return int(1e6 * factors.getMumpsInfog(19))
+
+
+def in_time(seconds: float) -> str:
+    """A duration in words, to two digits."""
+    for unit, size in (("h", 3600.0), ("min", 60.0)):
+        if seconds >= size:
+            return f"{seconds / size:.2g} {unit}"
+    return f"{seconds:.2g} s"

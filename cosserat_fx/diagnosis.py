@@ -13,6 +13,8 @@ from cosserat_fx.typing import Array
 
 _NEAR = 0.02
 """Part of the way from e_d to e_i within which a void ratio is told to be next to one of them."""
+_AT_E_D = 1e-6
+"""The same for a void ratio that has come to e_d, where f_d has an infinite slope."""
 _TELLING = {Status.DENSER_THAN_E_D, Status.TENSION, Status.RADICAND}
 """Failures of the law that need no word on the state."""
 _DIRECTIONS = 90
@@ -26,7 +28,11 @@ def imbalance(problem: Problem) -> str:
 
     Returns:
         A clause such as "the forces are out of balance most at 0.002 m, where the void ratio 1.3 exceeds e_i = 1.2".
+        Where the sand has come to e_d anywhere, that is told instead: no step is so small that its answer would be
+        smooth there, and the forces may be out of balance elsewhere.
     """
+    if densest := _at_e_d(problem):
+        return densest
     forces = np.abs(problem.vector.array_r)
     largest, place = -1.0, np.zeros(problem.geometry.mesh.geometry.dim)
     for part in problem.fields.values():
@@ -48,6 +54,25 @@ def failure_with_state(problem: Problem, failure: Failure) -> str:
     if failure.status in _TELLING:
         return str(failure)
     return f"{failure}, where {_state_at(problem, failure.where)}"
+
+
+def _at_e_d(problem: Problem) -> str:
+    """Where the committed void ratio has come to e_d, if it has anywhere; the point that is nearest to it."""
+    state = problem.state
+    normal = [k for k, (i, j) in enumerate(problem.layout.stress) if i == j]
+    pressure = np.maximum(-state.forces_n[state.points][:, normal].sum(axis=1) / 3, 0.0)
+    e_i, _, e_d = problem.material.characteristic_void_ratios(pressure)
+    parts = (state.e_n[state.points] - e_d) / (e_i - e_d)
+    nearest = int(parts.argmin()) if len(parts) else -1
+    told = (np.inf, "")
+    if nearest >= 0 and parts[nearest] < _AT_E_D:
+        where = ", ".join(f"{x:.6g}" for x in state.coordinates[nearest])
+        reason = (
+            f"the void ratio has come to e_d = {e_d[nearest]:.4g}, the densest state the law describes, at {where} m"
+        )
+        told = (float(parts[nearest]), reason)
+    text: str = min(problem.comm.allgather(told))[1]
+    return text
 
 
 def _state_at(problem: Problem, place: Sequence[float]) -> str:

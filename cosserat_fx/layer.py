@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from cosserat_fx import geometry
 from cosserat_fx._compat import MPI
@@ -11,16 +12,19 @@ from cosserat_fx.conditions import Condition, Load, Prescribed, traction
 from cosserat_fx.forms.walls import rolling_rotation
 from cosserat_fx.forms.weight import weight_work
 from cosserat_fx.initial.state import void_ratio_of
+from cosserat_fx.linear_solver import PetscOption
 from cosserat_fx.memory import refuse_too_large
 from cosserat_fx.meshes.sizes import SizeReport, size_report
-from cosserat_fx.newton import PetscOption
 from cosserat_fx.numerics import numerics
 from cosserat_fx.path import Path, Waypoint
 from cosserat_fx.problem import Problem
 from cosserat_fx.scene import LayerScene
 from cosserat_fx.scenes.layer import Wall
-from cosserat_fx.stepping import Stepper
+from cosserat_fx.stepping import StepControl, Stepper
 from cosserat_fx.walk import Branch, step_control, stepper_of
+
+if TYPE_CHECKING:
+    from cosserat_fx.accuracy.plan import Plan
 
 BRANCH: Branch = "primary"
 """What a layer may branch into differs little from one solution to the next, and its mean response less."""
@@ -38,6 +42,7 @@ class Layer:
         stations: travel along the path at which profiles are asked for (m).
         element_sizes: against the grain diameter.
         warnings: what the user should know before it starts.
+        plan: how an accuracy is to be kept, where one was asked for.
     """
 
     scene: LayerScene
@@ -47,6 +52,7 @@ class Layer:
     stations: tuple[float, ...]
     element_sizes: SizeReport
     warnings: tuple[str, ...]
+    plan: Plan | None = None
 
 
 def build(scene: LayerScene, comm: MPI.Intracomm, options: dict[str, PetscOption] | None = None) -> Layer:
@@ -60,9 +66,9 @@ def build(scene: LayerScene, comm: MPI.Intracomm, options: dict[str, PetscOption
     Raises:
         SceneError: the file of a measured void ratio cannot be used, or the run would take more memory than there is.
     """
-    refuse_too_large(scene, comm, options)
+    linear = refuse_too_large(scene, comm, options)
     path = layer_path(scene)
-    body = geometry.layer(scene.geometry.height, scene.geometry.cells, comm)
+    body = geometry.layer(scene.geometry.height, scene.cells, comm)
     chosen = numerics(scene, scene.geometry.height, "interval")
     void_ratio = void_ratio_of(scene, body, chosen.degree)
     problem = Problem(
@@ -75,9 +81,13 @@ def build(scene: LayerScene, comm: MPI.Intracomm, options: dict[str, PetscOption
     )
     legs_before = len(path.corners) - 1 - len(scene.legs)
     stations = tuple(path.at(legs_before + station.leg, station.fraction) for station in scene.profile_stations)
-    control = step_control(scene, _stiff_size(scene), BRANCH)
-    stepper = stepper_of(scene, problem, path.corners, stations, control, options)
+    stepper = stepper_of(scene, problem, path.corners, stations, control_of(scene), options, linear)
     return Layer(scene, problem, stepper, path, stations, size_report(body, scene.material.d50), void_ratio.warnings)
+
+
+def control_of(scene: LayerScene) -> StepControl:
+    """Sizes of a layer's steps."""
+    return step_control(scene, _stiff_size(scene), BRANCH)
 
 
 def _stiff_size(scene: LayerScene) -> float:

@@ -21,8 +21,8 @@ import basix
 from cosserat_fx._compat import MPI
 from cosserat_fx.geometry import Geometry
 from cosserat_fx.layout import Dimension, layout
+from cosserat_fx.linear_solver import LinearSolver, PetscOption, choose
 from cosserat_fx.machine import limit_of_process, memory_of_node
-from cosserat_fx.newton import PetscOption
 from cosserat_fx.numerics import numerics
 from cosserat_fx.scene import LayerScene, PlaneScene, Scene
 from cosserat_fx.scenes.plane import MeshGeometry, RectangleGeometry
@@ -49,8 +49,11 @@ PROCESS = 300e6
 SNAPSHOT, PICTURE, PROFILE = 200, 1.4e6, 300
 """Bytes of a plane body's snapshot per cell and of its picture in an animation, and of a layer's profile per cell, all
 of which are held together while figures are drawn."""
-FACTORISING = ("lu", "cholesky")
-"""PETSc's preconditioners that take memory for factors."""
+MULTIGRID = 1000
+"""Bytes of an unknown that the iterative solver takes: 500 for the matrix' blocks and coarser ones (measured with
+25,000 to 270,000 unknowns), the rest for some sixty vectors, which hard systems need."""
+_FACTORS_ALONE = LinearSolver("direct", "")
+_FACTORS_BESIDE = LinearSolver("iterative", "", beside=True)
 
 
 class Sizes(NamedTuple):
@@ -75,6 +78,7 @@ class Footprint:
         state: at the quadrature points.
         matrix: the Jacobian.
         factors: of the Jacobian; 0 where none are made.
+        multigrid: and vectors of the iterative solver; 0 where there is none.
         figures: what is read again to be drawn at the end.
         rest: mesh, fields, and the program itself.
     """
@@ -82,13 +86,14 @@ class Footprint:
     state: float
     matrix: float
     factors: float
+    multigrid: float
     figures: float
     rest: float
 
     @property
     def total(self) -> float:
         """All of it (bytes)."""
-        return self.state + self.matrix + self.factors + self.figures + self.rest
+        return float(sum(asdict(self).values()))
 
     def __str__(self) -> str:
         """The total and its parts."""
@@ -102,7 +107,9 @@ def in_words(size: float) -> str:
     return f"{size / scale:.3g} {unit}"
 
 
-def footprint(scene: Scene, chosen: Numerics, sizes: Sizes, *, ranks: int, factorised: bool = True) -> Footprint:
+def footprint(
+    scene: Scene, chosen: Numerics, sizes: Sizes, *, ranks: int, linear: LinearSolver = _FACTORS_ALONE
+) -> Footprint:
     """Estimate the memory of a run.
 
     Args:
@@ -110,24 +117,35 @@ def footprint(scene: Scene, chosen: Numerics, sizes: Sizes, *, ranks: int, facto
         chosen: effects, element and quadrature.
         sizes: of the mesh.
         ranks: MPI processes.
-        factorised: whether the solver factorises the matrix.
+        linear: the linear solver.
     """
     dimension, cell, nodes, cells, across = sizes
     components = layout(dimension, polar=chosen.polar, spin=chosen.spin != "none")
     points = cells * len(basix.make_quadrature(basix.CellType[cell], chosen.degree)[1])
-    # By Euler's formula a plane body without holes has nodes + cells - 1 sides. Displacements of order 2 have a node
-    # on each side and, in quadrilaterals, one in the middle.
-    inner = nodes + cells * (2 if cell == "quadrilateral" else 1) - 1 if chosen.order > 1 else 0
-    unknowns, fields = 2 * (nodes + inner) + nodes * chosen.polar, 2 + chosen.polar
+    unknowns, fields = _unknowns(chosen, sizes), 2 + chosen.polar
+    iterative = linear.kind == "iterative"
+    factorised = linear.kind == "direct" or linear.beside
     shared = 1 + FACTORS_OF_RANKS * log2(ranks)
     growth = FACTORS_OF_LAYER / 3 if dimension == "layer" else FACTORS_OF_FIELD * log2(unknowns / nodes * across**2)
     return Footprint(
         state=points * point_record(components, void_ratio=chosen.void_ratio).itemsize,
         matrix=NONZERO * unknowns * ROW[cell, chosen.order] * fields / 3,
         factors=shared * growth * fields * unknowns if factorised else 0.0,
+        multigrid=MULTIGRID * unknowns if iterative else 0.0,
         figures=_drawn(scene, cells),
         rest=NODE * nodes + POINT * points + ranks * (COPY * nodes + PROCESS),
     )
+
+
+def _unknowns(chosen: Numerics, sizes: Sizes) -> int:
+    """Number of unknowns on a mesh.
+
+    By Euler's formula a plane body without holes has nodes + cells - 1 sides. Displacements of order 2 have a node on
+    each side and, in quadrilaterals, one in the middle.
+    """
+    _, cell, nodes, cells, _ = sizes
+    inner = nodes + cells * (2 if cell == "quadrilateral" else 1) - 1 if chosen.order > 1 else 0
+    return 2 * (nodes + inner) + nodes * chosen.polar
 
 
 def _drawn(scene: Scene, cells: int) -> float:
@@ -160,8 +178,8 @@ def refuse_too_large(
     comm: MPI.Intracomm,
     options: Mapping[str, PetscOption] | None = None,
     body: Geometry | None = None,
-) -> None:
-    """Refuse a scene whose run would take more memory than there is, before much of it is taken. Collective.
+) -> LinearSolver | None:
+    """Choose a linear solver; refuse a scene whose run takes more memory than there is, before it does. Collective.
 
     Args:
         scene: of a layer or a plane body.
@@ -169,23 +187,38 @@ def refuse_too_large(
         options: PETSc options that go before the scene's own.
         body: the mesh, where it comes from a file; without it, such a scene is not judged.
 
+    Returns:
+        The linear solver, which is chosen with an eye to the memory; None where the scene is not judged.
+
     Raises:
         SceneError: on every rank.
         AdmissibilityError: the element that the scene asks for has other cells.
     """
     sizes = _described(scene) if body is None else sizes_of(body)
     if sizes is None:
-        return
-    solver = {**scene.solver.petsc, **(options or {})}.get("pc_type", "lu")
+        return None
     chosen = numerics(scene, 1.0, sizes.cell)
-    needed = footprint(scene, chosen, sizes, ranks=comm.size, factorised=solver in FACTORISING)
     there = available_memory(comm)
+    factors_fit, beside_fit = (
+        footprint(scene, chosen, sizes, ranks=comm.size, linear=way).total <= there
+        for way in (_FACTORS_ALONE, _FACTORS_BESIDE)
+    )
+    linear = choose(
+        scene.solver.linear,
+        sizes.dimension,
+        _unknowns(chosen, sizes),
+        options={**scene.solver.petsc, **(options or {})},
+        factors_fit=factors_fit,
+        beside_fit=beside_fit,
+    )
+    needed = footprint(scene, chosen, sizes, ranks=comm.size, linear=linear)
     if needed.total > there:
         key, value = _blamed(scene, figures=needed.total - needed.figures <= there)
         allowed = (
             f"must make a problem that fits into the memory of this machine, {in_words(there)}, but this one would"
         )
         raise SceneError(line(key, value, f"{allowed} need about {needed}"))
+    return linear
 
 
 def _blamed(scene: Scene, *, figures: bool) -> tuple[str, object]:
@@ -206,7 +239,7 @@ def _blamed(scene: Scene, *, figures: bool) -> tuple[str, object]:
 def _described(scene: Scene) -> Sizes | None:
     """Sizes of the mesh that a scene describes, or None where it comes from a file."""
     if isinstance(scene, LayerScene):
-        return Sizes("layer", "interval", scene.geometry.cells + 1, scene.geometry.cells, 1)
+        return Sizes("layer", "interval", scene.cells + 1, scene.cells, 1)
     assert isinstance(scene, PlaneScene)
     if not isinstance(scene.geometry, RectangleGeometry):
         return None

@@ -16,20 +16,15 @@ import numpy as np
 
 from cosserat_fx._compat import MPI, PETSc, dolfinx
 from cosserat_fx.diagnosis import failure_with_state, imbalance
-from cosserat_fx.linear_failure import linear_failure
+from cosserat_fx.linear_solver import LinearSolver, PetscOption, choose
+from cosserat_fx.linear_system import LinearSystem
 from cosserat_fx.problem import Failure, Problem
-
-PetscOption = str | int | float | bool
 
 _DEFAULTS: dict[str, PetscOption] = {
     "snes_type": "newtonls",
     "snes_linesearch_type": "bt",
     "snes_linesearch_max_it": 10,
-    "ksp_type": "preonly",
-    "pc_type": "lu",
-    "pc_factor_mat_solver_type": "mumps",
 }
-_MUMPS_DETERMINANT = 33
 _ADAPTING_ITERATIONS = 2
 _RECHECKS = 3
 _PATIENCE, _PATIENCE_AT_THE_END = 8, 2
@@ -85,6 +80,7 @@ class NewtonSolver:
     Attributes:
         snes: the PETSc object, for users who want to set more than options reach. Options have the prefix
             ``cosserat_`` in PETSc's database, where they override the defaults.
+        linear: the linear systems, and what solves them.
         before_evaluation: called before every evaluation of the law, on every rank; what it raises ends the solution.
     """
 
@@ -95,6 +91,7 @@ class NewtonSolver:
         tolerance: float = 1e-9,
         max_iterations: int = 25,
         options: Mapping[str, PetscOption] | None = None,
+        linear: LinearSolver | None = None,
     ) -> None:
         """Create the solver.
 
@@ -103,18 +100,21 @@ class NewtonSolver:
             tolerance: of the out-of-balance forces, relative to the internal forces.
             max_iterations: Newton iterations of one step.
             options: PETSc options without prefix, such as ``{"snes_monitor": ""}``.
+            linear: the linear solver, by default as the problem's size suggests.
         """
         self._problem = problem
         self._tolerance = tolerance
         self._failure: Failure | None = None
-        self._frozen = self._asked_for_determinant = False
+        self._frozen = False
         self._norms: list[float] = []
         self._rounding = 0.0
         self.before_evaluation: Callable[[], None] = lambda: None
         self._evaluated = problem.vector.duplicate()
         self._x = problem.vector.duplicate()
 
-        _set_options(options or {})
+        chosen = linear or choose("auto", problem.geometry.dimension, problem.sizes["unknowns"], options=options)
+        asked = chosen.petsc_options(polar=problem.numerics.polar), dict(options or {})
+        _set_options(*asked)
         self.snes = PETSc.SNES().create(problem.comm)
         self.snes.setOptionsPrefix(_PREFIX)
         self.snes.setFunction(_weakly(self._residual), problem.vector)
@@ -122,6 +122,7 @@ class NewtonSolver:
         self.snes.setTolerances(rtol=0.0, stol=0.0, max_it=max_iterations)
         self.snes.setConvergenceTest(_weakly(self._test_convergence))
         self.snes.setFromOptions()
+        self.linear = LinearSystem(self.snes, problem, chosen, lambda: _restore_options(*asked))
 
     def solve(self) -> Solution:
         """Find equilibrium from the problem's unknown, which holds the prescribed values already."""
@@ -132,14 +133,15 @@ class NewtonSolver:
         self._rounding = _ROUNDING * scale
         self._x.array_w[:] = problem.unknown.x.array[: self._x.getLocalSize()]
         self._frozen, iterations = False, 0
+        self.linear.begin()
         for _ in range(_RECHECKS):
             self._failure = None
-            with problem.stopwatch("Newton"):
-                try:
-                    self.snes.solve(None, self._x)
-                except PETSc.Error as error:
-                    raise error.__cause__ or error from None  # what a callback raised comes wrapped by PETSc
-            iterations += self.snes.getIterationNumber()
+            iterations += self._iterate()
+            if (
+                self.snes.getConvergedReason() == PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE
+                and self.linear.fall_back()
+            ):
+                iterations += self._iterate()
             residual = self.snes.getFunctionNorm() / scale
             reason = self.snes.getConvergedReason()
             if reason < 0 and not self._is_rounding():
@@ -154,6 +156,15 @@ class NewtonSolver:
             self._frozen = True
         return Solution(False, iterations, "the number of local substeps did not settle", residual)
 
+    def _iterate(self) -> int:
+        """Iterate from the vector of unknowns on; the number of iterations."""
+        with self._problem.stopwatch("Newton"):
+            try:
+                self.snes.solve(None, self._x)
+            except PETSc.Error as error:
+                raise error.__cause__ or error from None  # what a callback raised comes wrapped by PETSc
+        return int(self.snes.getIterationNumber())
+
     def predict(self) -> bool:
         """Take a linear step to the prescribed values with the tangent at the unknown at hand.
 
@@ -164,18 +175,18 @@ class NewtonSolver:
             Whether the linear system could be solved.
         """
         problem = self._problem
+        self.linear.begin()
         problem.state.restart_substeps()
         self._failure = problem.update(adapt=True)
         if self._failure:
             return False
         b = problem.vector
         problem.assemble_prediction(b)
-        self._assemble_jacobian(problem.matrix)
-        ksp = self.snes.getKSP()
-        ksp.setOperators(problem.matrix)
+        self.linear.assemble()
+        self.linear.take()
         with problem.stopwatch("linear solve"):
-            ksp.solve(b, self._x)
-        if ksp.getConvergedReason() < 0:
+            solved = self.linear.solve(b, self._x)
+        if not solved:
             return False
         problem.unknown.x.array[: self._x.getLocalSize()] += self._x.array_r
         problem.unknown.x.scatter_forward()
@@ -186,7 +197,7 @@ class NewtonSolver:
         """Why the last prediction failed: the law at the start of the step, or the linear solver."""
         if self._failure:
             return Solution(False, 0, f"the law failed at the start of the step: {self._failure}", np.inf)
-        told, lasting = linear_failure(self.snes.getKSP())
+        told, lasting = self.linear.failure()
         return Solution(False, 0, told, np.inf, hopeless=lasting)
 
     def apply_inverse(self, field: dolfinx.fem.Function) -> bool:
@@ -197,11 +208,10 @@ class NewtonSolver:
         """
         b = self._problem.vector
         b.array_w[:] = field.x.array[: b.getLocalSize()]
-        ksp = self.snes.getKSP()
-        ksp.solve(b, self._x)
+        solved = self.linear.solve(b, self._x)
         field.x.array[: b.getLocalSize()] = self._x.array_r
         field.x.scatter_forward()
-        return bool(ksp.getConvergedReason() > 0)
+        return solved
 
     def out_of_balance(self) -> float:
         """Update the trial state at the unknown at hand; assemble the out-of-balance forces into the problem's vector.
@@ -222,26 +232,20 @@ class NewtonSolver:
         Returns:
             False where it could not be factorised, or its determinant is negative.
         """
-        a = self._problem.matrix
-        self._assemble_jacobian(a)
-        a.axpy(factor, stiffness, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
-        ksp = self.snes.getKSP()
-        ksp.setOperators(a)
-        ksp.setUp()
-        failed = bool(ksp.getPC().getFailedReason())
-        return not self._problem.comm.allreduce(failed, op=MPI.LOR) and self._determinant_is_positive()
+        self.linear.assemble()
+        self._problem.matrix.axpy(factor, stiffness, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        return self.linear.factorise() and self.linear.determinant_is_positive()
 
     @property
     def sees_branches(self) -> bool:
-        """Whether the tangent's determinant is known: MUMPS tells it, other solvers do not."""
-        pc = self.snes.getKSP().getPC()
-        return bool(pc.getType() == "lu" and pc.getFactorSolverType() == "mumps")
+        """Whether the sign of the tangent's determinant is known at an equilibrium."""
+        return self.linear.tells_determinant
 
     def _failed(self, reason: int, iterations: int, residual: float) -> Solution:
         """What became of a solution that SNES gave up for a reason."""
         reasons = PETSc.SNES.ConvergedReason
         if reason == reasons.DIVERGED_LINEAR_SOLVE:
-            told, lasting = linear_failure(self.snes.getKSP())
+            told, lasting = self.linear.failure()
             return Solution(False, iterations, told, residual, hopeless=lasting)
         if self._failure and (not iterations or reason == reasons.DIVERGED_LINE_SEARCH):
             return Solution(False, iterations, str(self._failure), residual)
@@ -284,19 +288,11 @@ class NewtonSolver:
         """
         if not self.sees_branches:
             return True
-        ksp = self.snes.getKSP()
         if not iterations:
-            self._assemble_jacobian(self._problem.matrix)
-            ksp.setOperators(self._problem.matrix)
-            ksp.setUp()
-        return self._determinant_is_positive()
-
-    def _determinant_is_positive(self) -> bool:
-        """Whether the determinant of the matrix factorised last is not negative, or unknown."""
-        if not self.sees_branches:
+            self.linear.assemble()
+        if (not iterations or not self.linear.is_factorised) and not self.linear.factorise():
             return True
-        determinant = self.snes.getKSP().getPC().getFactorMatrix().getMumpsRinfog(12)
-        return bool(self._problem.comm.bcast(determinant) >= 0)  # MUMPS promises it on the first rank alone
+        return self.linear.determinant_is_positive()
 
     def _residual(self, snes: PETSc.SNES, x: PETSc.Vec, b: PETSc.Vec) -> None:
         """Residual callback; a state that cannot be reached has an infinite one."""
@@ -331,17 +327,7 @@ class NewtonSolver:
         """Jacobian callback; the tangent of the last residual serves where the point is the same."""
         if not self._evaluated.equal(x):
             self._evaluate(x, adapt=False)
-        self._assemble_jacobian(p)
-
-    def _assemble_jacobian(self, a: PETSc.Mat) -> None:
-        """Assemble the Jacobian; before its first factorisation, ask MUMPS for its determinant."""
-        self._problem.assemble_jacobian(a)
-        if self.sees_branches and not self._asked_for_determinant:
-            ksp = self.snes.getKSP()
-            ksp.setOperators(a)
-            ksp.getPC().setFactorSetUpSolverType()
-            ksp.getPC().getFactorMatrix().setMumpsIcntl(_MUMPS_DETERMINANT, 1)
-            self._asked_for_determinant = True
+        self.linear.assemble()
 
     def _evaluate(self, x: PETSc.Vec, *, adapt: bool) -> bool:
         """Update the trial state at a point; False, on every rank, where the law cannot."""
@@ -353,20 +339,38 @@ class NewtonSolver:
         return failure is None
 
 
-def _set_options(options: Mapping[str, PetscOption]) -> None:
+def _set_options(linear: Mapping[str, PetscOption], options: Mapping[str, PetscOption]) -> None:
     """Put a solver's options into PETSc's database, and take out what an earlier solver put there.
 
     An option given here goes before one from the environment, and that before a default.
+
+    Args:
+        linear: options of the linear solver, defaults like those of the iteration.
+        options: given.
     """
     database = PETSc.Options(_PREFIX)
     while _set_here:
         database.delValue(_set_here.pop())
-    for key, value in {**_DEFAULTS, **options}.items():
+    for key, value in {**_DEFAULTS, **linear, **options}.items():
         if key.startswith("pc_factor") and key not in options and database.getString("pc_type") != "lu":
             continue
         if key in options or not database.hasName(key):
             database.setValue(key, value)
             _set_here.add(key)
+        if key not in options:
+            database.hasName(key)  # counts as use; PETSc lists at the end what nobody asked for
+
+
+def _restore_options(linear: Mapping[str, PetscOption], options: Mapping[str, PetscOption]) -> None:
+    """Put options back that another solver took out of PETSc's database.
+
+    Args:
+        linear: options of the linear solver.
+        options: given.
+    """
+    database = PETSc.Options(_PREFIX)
+    if not all(database.hasName(key) for key in linear):
+        _set_options(linear, options)
 
 
 def _weakly(method: Callable[..., Any]) -> Callable[..., Any]:

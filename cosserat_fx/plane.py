@@ -10,12 +10,12 @@ from cosserat_fx._compat import MPI
 from cosserat_fx.boundaries import BoundaryMaker, needs_loading
 from cosserat_fx.geometry import Geometry, Grading
 from cosserat_fx.initial.state import void_ratio_of
+from cosserat_fx.linear_solver import PetscOption
 from cosserat_fx.material import AdmissibilityError
 from cosserat_fx.memory import refuse_too_large
 from cosserat_fx.meshes import file as meshfile
 from cosserat_fx.meshes.file import MeshError
 from cosserat_fx.meshes.sizes import SizeReport, size_report
-from cosserat_fx.newton import PetscOption
 from cosserat_fx.numerics import numerics
 from cosserat_fx.plane_path import PlanePath
 from cosserat_fx.problem import Problem
@@ -68,7 +68,7 @@ def build(scene: PlaneScene, comm: MPI.Intracomm, options: dict[str, PetscOption
     try:
         refuse_too_large(scene, comm, options)
         body = body_of(scene, comm)
-        refuse_too_large(scene, comm, options, body)
+        linear = refuse_too_large(scene, comm, options, body)
         check_names(scene, body)
         chosen = numerics(scene, body.smallest_extent, body.mesh.topology.cell_name())
     except AdmissibilityError as error:
@@ -96,12 +96,10 @@ def build(scene: PlaneScene, comm: MPI.Intracomm, options: dict[str, PetscOption
         )
     stations = tuple(path.start + travel for travel in scene.output.fields_at or ())
     control = step_control(scene, body.smallest_extent, BRANCH)
-    stepper = stepper_of(scene, problem, path.corners, stations, control, options)
+    stepper = stepper_of(scene, problem, path.corners, stations, control, options, linear)
     warnings = [*void_ratio.warnings, *([sizes.warning] if sizes.warning else [])]
     if control.branch == "stable" and not stepper.solver.sees_branches:
-        warnings.append(
-            "branches of equilibrium are not watched: of the direct solvers only MUMPS tells the tangent's determinant"
-        )
+        warnings.append(f"branches of equilibrium are not watched: {stepper.solver.linear.choice.blindness}")
     return Plane(scene, problem, stepper, path, stations, sizes, tuple(warnings))
 
 

@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, field
 from time import perf_counter
 from typing import Any, Self
 
+from cosserat_fx.accuracy.report import AccuracyReport
 from cosserat_fx.answer.report import Answer
 from cosserat_fx.audit import Audit
 from cosserat_fx.bodies import Body
@@ -16,7 +17,7 @@ from cosserat_fx.kernel_time import kernel_shares
 from cosserat_fx.output.layer_observation import looseness
 from cosserat_fx.output.recording import Recording
 from cosserat_fx.parallel import on_first_rank
-from cosserat_fx.results import FORMAT, RunFolder
+from cosserat_fx.results import FORMAT, RunFolder, read_run
 from cosserat_fx.stepping import Step
 from cosserat_fx.timing import Stopwatch
 from cosserat_fx.versions import versions
@@ -27,21 +28,24 @@ class Ledger:
     """What a run has come to so far.
 
     Attributes:
-        steps, iterations, cutbacks, passages: totals.
+        steps, iterations, cutbacks, passages, jumps: totals.
         reason: why it stopped early, if it did.
         warnings: what the user should know.
         resumed: after which steps the run went on from a checkpoint.
         answer: the checks of the answer in one line; empty before the end.
+        accuracy: the estimated error in one line; empty before the end and where no accuracy was asked for.
     """
 
     steps: int = 0
     iterations: int = 0
     cutbacks: int = 0
     passages: int = 0
+    jumps: int = 0
     reason: str | None = None
     warnings: list[str] = field(default_factory=list)
     resumed: list[int] = field(default_factory=list)
     answer: str = ""
+    accuracy: str = ""
 
     @classmethod
     def of(cls, summary: Mapping[str, Any]) -> Self:
@@ -55,6 +59,7 @@ class Ledger:
             iterations=summary["newton_iterations"],
             cutbacks=summary["cutbacks"],
             passages=summary["branch_passages"],
+            jumps=summary["jumps"],
             warnings=summary["warnings"],
             resumed=summary["resumed_after_steps"],
         )
@@ -76,11 +81,11 @@ class Recorder:
         self.ledger = Ledger(warnings=list(body.warnings))
         self._start, self._digest = start, scene_digest
         self._body, self._problem, self._scene = body, body.problem, body.scene
-        self._audit, self._answer = Audit(body), Answer(body)
+        self._audit, self._answer, self._accuracy = Audit(body), Answer(body), AccuracyReport(body)
         self._recording, self._folder = recording, folder
         self._comm = body.problem.comm
         self._loose = False
-        self.effects = kernel_shares(effects(body), body, compiling=False)
+        self.effects = kernel_shares(effects(body), body)
 
     def start(self) -> None:
         """Write the initial state."""
@@ -97,6 +102,7 @@ class Recorder:
             "recording": self._recording.memento(),
             "audit": self._audit.memento(),
             "answer": self._answer.memento(),
+            "accuracy": self._accuracy.memento(),
         }
 
     def resume(self, memento: dict[str, Any], complaints: list[str]) -> None:
@@ -115,6 +121,7 @@ class Recorder:
         self._problem.stopwatch.add(memento["seconds"], memento["calls"])
         self._audit.restore(memento["audit"])
         self._answer.restore(memento["answer"])
+        self._accuracy.restore(memento["accuracy"])
         self._recording.resume(self._folder, memento["recording"])
 
     def record(self, step: Step) -> None:
@@ -125,11 +132,16 @@ class Recorder:
             ledger.steps, ledger.iterations = step.number, ledger.iterations + step.iterations
             ledger.cutbacks += step.cutbacks
             ledger.passages += step.passages
+            ledger.jumps += step.jumps
             self._audit.observe(row)
             self._answer.observe(step)
+            self._accuracy.observe(step)
             on_first_rank(self._comm, lambda: self._folder.append_history(row))
             self._watch_looseness(step)
             self._tell_passage(step)
+            self._tell_first_jump(step)
+            for note in self._body.stepper.solver.linear.notes:
+                self.warn_once(note)
             self._recording.record(step)
 
     @property
@@ -148,7 +160,11 @@ class Recorder:
             self._recording.finish()
             self._answer.check()
             self.ledger.answer = self._answer.line()
+        if self._accuracy.wanted and self.ledger.reason is None:
+            self._accuracy.finish(on_first_rank(self._comm, lambda: read_run(self._folder.path).history))
+            self.ledger.accuracy = self._accuracy.line()
         self.ledger.warnings += [*self._audit.warnings(self._recording.entries()), *self._answer.warnings()]
+        self.ledger.warnings += self._accuracy.warnings()
         if self._scene.output.figures and self.ledger.steps:
             self.summarise("running")
             with self._problem.stopwatch("figures"):
@@ -179,16 +195,19 @@ class Recorder:
             "scene_sha256": self._digest,
             "resumed_after_steps": ledger.resumed,
             "effects": [asdict(effect) for effect in self.effects],
+            "linear_solver": asdict(self._body.stepper.solver.linear.choice),
             "sizes": problem.sizes,
             "element_size_d50": {name: getattr(sizes, name) for name in ("smallest", "median", "largest")},
             "steps": ledger.steps,
             "newton_iterations": ledger.iterations,
             "cutbacks": ledger.cutbacks,
             "branch_passages": ledger.passages,
+            "jumps": ledger.jumps,
             "seconds": {name: round(seconds, 6) for name, seconds in sorted(phases.items())},
             "calls": dict(sorted(problem.stopwatch.calls.items())),
             "warnings": ledger.warnings,
             "answer": self._answer.entries(),
+            **self._accuracy.entries(),
             **self._recording.entries(),
         }
 
@@ -210,4 +229,12 @@ class Recorder:
             self.ledger.warnings.append(
                 f"at a travel of {self._recording.travel(step):.6g} m the branch of equilibria had become unstable "
                 f"and was {done}"
+            )
+
+    def _tell_first_jump(self, step: Step) -> None:
+        """Tell where the body first moved to another equilibrium; there may be hundreds of such steps."""
+        if step.jumps and self.ledger.jumps == step.jumps:
+            self.ledger.warnings.append(
+                f"at a travel of {self._recording.travel(step):.6g} m there was no equilibrium near the last one, and "
+                "the body was let move to another; history.csv marks every such step under jumps"
             )

@@ -16,8 +16,8 @@ from cosserat_fx.checkpoint import Checkpoints
 from cosserat_fx.effects import Effect
 from cosserat_fx.form_cache import with_forms
 from cosserat_fx.interruption import InterruptedRunError, Interruption
-from cosserat_fx.kernel_time import IN_KERNEL
-from cosserat_fx.newton import PetscOption
+from cosserat_fx.layer import Layer
+from cosserat_fx.linear_solver import PetscOption
 from cosserat_fx.output.lock import FolderLock
 from cosserat_fx.parallel import FailedAloneError, RollCall, on_first_rank
 from cosserat_fx.progress import RunProgress
@@ -64,7 +64,7 @@ def run(
         body = build(scene, comm, dict(options or {}))
         recording = recording_of(body)
         folder = RunFolder(out, recording.columns, recording.profile_columns)
-        checkpoints = Checkpoints(folder, scene, body.stepper)
+        checkpoints = Checkpoints(folder, body.scene, body.stepper)
         return body, folder, checkpoints, Recorder(body, recording, folder, start, checkpoints.scene_digest)
 
     body, folder, checkpoints, recorder = with_forms(comm, set_up)
@@ -144,7 +144,9 @@ def describe(body: Body, listed: list[Effect]) -> Table:
         listed: its effects.
     """
     shares = [_kernel_share(effect) for effect in listed]
-    caption = _sizes_line(body) + "\n? is measured by the command check with --measure" * ("?" in shares)
+    caption = f"{_sizes_line(body)}\n{body.stepper.solver.linear.choice}" + (
+        f"\n{body.plan}" if isinstance(body, Layer) and body.plan else ""
+    )
     table = Table(title=body.scene.title or None, caption=caption, box=None, padding=(0, 2, 0, 0))
     for heading in ("effect", "choice"):
         table.add_column(heading)
@@ -158,9 +160,7 @@ def describe(body: Body, listed: list[Effect]) -> Table:
 
 
 def _kernel_share(effect: Effect) -> str:
-    if effect.kernel_time is not None:
-        return f"{100 * effect.kernel_time:.0f} %"
-    return "?" if effect.is_on and effect.name in IN_KERNEL else ""
+    return "" if effect.kernel_time is None else f"{100 * effect.kernel_time:.0f} %"
 
 
 def _sizes_line(body: Body) -> str:

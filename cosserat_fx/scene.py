@@ -69,6 +69,13 @@ __all__ = [
 DEFAULT_SET: Final = "paper-sand"
 """The material of a scene that names none."""
 
+CHOSEN: Final[Mapping[str, tuple[str, ...]]] = {
+    "geometry": ("cells",),
+    "stepping": ("first_step", "tolerance", "strain"),
+    "solver": ("local_tolerance",),
+}
+"""Tables and keys of a layer that are chosen where it asks for an accuracy and does not give them."""
+
 DEFAULT_KIND: Final = "layer"
 """The geometry of a scene that names none."""
 
@@ -119,6 +126,9 @@ class Scene(Table):
 class LayerScene(Scene):
     """The scene of an infinite layer between two walls."""
 
+    accuracy: float | None = Field(default=None, gt=0, le=0.1)
+    """Relative error allowed in the peak and the residual shear stress; what the scene does not give of mesh, steps and
+    local tolerance is chosen to meet it."""
     geometry: LayerGeometry
     walls: Walls
     solver: LayerSolver = LayerSolver()
@@ -136,12 +146,48 @@ class LayerScene(Scene):
         return self
 
     @model_validator(mode="after")
+    def _check_accuracy(self) -> Self:
+        if self.accuracy is None:
+            if self.geometry.cells is None:
+                allowed = "must be given unless accuracy is, by which they are chosen"
+                raise AdmissibilityError("geometry.cells", None, allowed)
+        elif not self.effects.polar:
+            allowed = "must be left out where effects.polar = false: without a length, the answer is that of the mesh"
+            raise AdmissibilityError("accuracy", self.accuracy, allowed)
+        return self
+
+    @model_validator(mode="after")
     def _fill_and_check_profiles(self) -> Self:
         if self.output.profiles_at is None:
             filled = self.output.model_copy(update={"profiles_at": default_profiles(self.legs)})
             object.__setattr__(self, "output", filled)
         find_stations(self.output.profiles_at or (), self.legs)
         return self
+
+    @property
+    def given(self) -> tuple[str, ...]:
+        """Which keys the scene gives of those that an accuracy chooses."""
+        return tuple(
+            f"{name}.{key}"
+            for name, keys in CHOSEN.items()
+            for key in keys
+            if key in getattr(self, name).model_fields_set
+        )
+
+    @property
+    def cells(self) -> int:
+        """Number of cells, of a scene that gives them."""
+        assert self.geometry.cells is not None
+        return self.geometry.cells
+
+    def as_dict(self) -> dict[str, Any]:
+        """Returns the scene as that of any kind; what an accuracy is to choose is left out."""
+        tables = super().as_dict()
+        for name, keys in CHOSEN.items() if self.accuracy is not None else ():
+            for key in keys:
+                if f"{name}.{key}" not in self.given:
+                    tables[name].pop(key, None)
+        return tables
 
     @property
     def legs(self) -> tuple[Leg, ...]:

@@ -32,6 +32,8 @@ class StepControl:
         strain: aimed largest strain increment of any point.
         growth: largest factor from one step to the next.
         max_steps: accepted steps after which the run ends.
+        max_jumps: steps with a jump to another equilibrium that it may have: a body that jumps again and again moves by
+            stick and slip, and of its slips only the ends are equilibria.
     """
 
     first: float
@@ -44,6 +46,7 @@ class StepControl:
     strain: float = 0.4
     growth: float = 1.5
     max_steps: int = 100_000
+    max_jumps: int = 100
 
     def __post_init__(self) -> None:
         """Fill in the stiff travel and the smallest step."""
@@ -62,6 +65,9 @@ class Step:
         iterations: Newton iterations, those of failed attempts included.
         cutbacks: failed attempts before it.
         passages: 1 where a branch became unstable in this step, which was pushed off it unless asked to stay.
+        rate_error: by how much the strain rate at its end differs from the mean one, with which the step is integrated,
+            relative to the latter: half the change from step to step, and 1/2 where there is no step before it.
+        jumps: 1 where there was no equilibrium near by, and the body was let move to another; else 0.
     """
 
     number: int
@@ -70,6 +76,8 @@ class Step:
     iterations: int
     cutbacks: int
     passages: int = 0
+    rate_error: float = 0.5
+    jumps: int = 0
 
 
 class Position(NamedTuple):
@@ -80,12 +88,14 @@ class Position(NamedTuple):
         size: of the step to make next (m), stops permitting.
         number: of the steps made.
         stable: whether the equilibrium is a stable one, as far as the solver can tell.
+        jumps: steps so far in which the body was let move to another equilibrium.
     """
 
     travel: float
     size: float
     number: int = 0
     stable: bool = True
+    jumps: int = 0
 
 
 class Increment(NamedTuple):
@@ -157,6 +167,8 @@ class Stepper:
         self.position = Position(self._corners[0], control.first)
         self.last: Increment | None = None
         self._unstable_ends = 0
+        self._jumped = False
+        self._rate_error = Step.rate_error
 
     def __iter__(self) -> Iterator[Step]:
         """Make the steps that are left one by one; each is committed when it is handed out.
@@ -179,9 +191,14 @@ class Stepper:
             raise
 
     def _step_towards(self, stop: float) -> Step:
-        travel, size, number, _ = self.position
+        travel, size, number, _, jumps = self.position
         if number == self.control.max_steps:
             raise SteppingError(f"the run reached its limit of {number} steps at a travel of {travel:.9g} m")
+        if jumps > self.control.max_jumps:
+            raise SteppingError(
+                f"the body moves by stick and slip: up to a travel of {travel:.9g} m it has jumped to another "
+                f"equilibrium more often than stepping.max_jumps = {self.control.max_jumps}, {self._most_strained()}"
+            )
         size = min(size, self.control.largest)
         step, wish = self._step_from(travel, stop, size), size
         iterations = cutbacks = 0
@@ -205,9 +222,10 @@ class Stepper:
         size = self._resize(wish, step, solution.iterations, cutbacks, suggestion)
         if travel in self._corners:
             self.last, size = None, self.control.first
-        self.position = Position(travel, size, number + 1, solution.stable)
+        self.position = Position(travel, size, number + 1, solution.stable, jumps + self._jumped)
         iterations += solution.iterations
-        return Step(number + 1, travel, step, iterations, cutbacks, passages=int(self._unstable_ends > 0))
+        passages = int(self._unstable_ends > 0)
+        return Step(number + 1, travel, step, iterations, cutbacks, passages, self._rate_error, int(self._jumped))
 
     def _step_from(self, travel: float, stop: float, size: float) -> float:
         """The step to make: exactly to the stop where it is near, and never leaving a crumb before it."""
@@ -250,7 +268,7 @@ class Stepper:
         """
         problem = self.problem
         problem.apply(travel + step)
-        iterations = 0
+        self._jumped, iterations = False, 0
         if self.last is not None:
             problem.unknown.x.array[:] += step / self.last.size * self.last.unknown
             problem.impose()
@@ -291,7 +309,18 @@ class Stepper:
     def _move(self) -> Solution | None:
         """Let the body move to an equilibrium; None where it finds none."""
         moved = relax(self.problem, self.solver, self.control.strain)
-        return moved if moved and moved.converged else None
+        self._jumped = moved is not None
+        return moved
+
+    def _most_strained(self) -> str:
+        """Where the last step has strained the body most, in words."""
+        state = self.problem.state
+        last = self.last.strains if self.last else np.zeros((len(state.points), 1))
+        sizes = np.linalg.norm(last, axis=1)
+        row = int(sizes.argmax()) if len(sizes) else -1
+        own = (float(sizes[row]), tuple(state.coordinates[row].tolist())) if row >= 0 else (-1.0, ())
+        _, place = max(self.problem.comm.allgather(own))
+        return f"in the last step mostly at {', '.join(f'{x:.6g}' for x in place)} m"
 
     def _longest_motion(self) -> float:
         """Longest step over which the body is let move to an equilibrium; a longer one is cut first."""
@@ -304,12 +333,14 @@ class Stepper:
         strains = problem.strain_increments()
         self.last = Increment(step, problem.unknown.x.array - problem.committed.x.array, strains)
         largest = problem.comm.allreduce(np.max(np.linalg.norm(strains, axis=1), initial=0.0), op=MPI.MAX)
+        self._rate_error = Step.rate_error
         if largest < self.NO_STRAIN:
             return np.inf
         size = step * control.strain / largest
         if last is not None:
             change = problem.comm.allreduce(np.sum((strains - step / last.size * last.strains) ** 2))
             total = problem.comm.allreduce(np.sum(strains**2))
+            self._rate_error = float(np.sqrt(change / total)) * step / (step + last.size)
             size = min(size, step * control.tolerance * np.sqrt(total / change) if change else np.inf)
         return float(size)
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal
 
-from cosserat_fx.newton import NewtonSolver, PetscOption
+from cosserat_fx.linear_solver import LinearSolver, PetscOption
+from cosserat_fx.newton import NewtonSolver
 from cosserat_fx.problem import Problem
 from cosserat_fx.scene import Scene
 from cosserat_fx.stepping import StepControl, Stepper
@@ -25,6 +26,7 @@ def stepper_of(
     stations: Sequence[float],
     control: StepControl,
     options: dict[str, PetscOption] | None = None,
+    linear: LinearSolver | None = None,
 ) -> Stepper:
     """What walks a problem as its scene asks for.
 
@@ -35,12 +37,14 @@ def stepper_of(
         stations: further travels to be hit exactly (m).
         control: sizes of the steps.
         options: PETSc options (without prefix) that go before the scene's own.
+        linear: the linear solver.
     """
     solver = NewtonSolver(
         problem,
         tolerance=scene.solver.newton_tolerance,
         max_iterations=scene.solver.max_iterations,
         options={**scene.solver.petsc, **(options or {})},
+        linear=linear,
     )
     return Stepper(problem, solver, corners, stations, control)
 
@@ -63,5 +67,8 @@ def step_control(scene: Scene, size: float, branch: Branch) -> StepControl:
         largest=asked.max_step or float("inf"),
         smallest=asked.min_step or 0.0,
         branch=asked.branch or branch,
+        tolerance=asked.tolerance,
+        strain=asked.strain,
         max_steps=asked.max_steps,
+        max_jumps=asked.max_jumps,
     )

@@ -53,6 +53,17 @@ def undisturbed_on_two(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
+def half(tmp_path: Path) -> Path:
+    """Folder of a layer that was asked to stop."""
+    from halves import LAYER, first_half
+
+    from cosserat_fx.scene import parse_scene
+
+    first_half(parse_scene(LAYER), tmp_path / "run")
+    return tmp_path / "run"
+
+
+@pytest.fixture
 def call(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Call:
     """Calls the program in this process with arguments, and gives back its exit status and what it printed."""
     from console import call_in_this_process

@@ -74,8 +74,22 @@ LAYER: dict[str, Any] = {
         "top": {"f_u": 0.8, "f_r": 0.1, "f_s": 0.1, "normal_stress": -100e3, "shear_displacement": [0.01, 0.0, 0.02]},
     },
     "effects": {"polar": True, "finite_strain": "auto", "spin": "macro", "void_ratio": True},
-    "stepping": {"min_step": 1e-6, "first_step": 1e-5, "max_step": 1e-3, "max_steps": 1000, "branch": "primary"},
-    "solver": {"integration_points": 2, "newton_tolerance": 1e-9, "max_iterations": 25, "petsc": {"snes_rtol": 0.0}},
+    "stepping": {
+        "min_step": 1e-6,
+        "first_step": 1e-5,
+        "max_step": 1e-3,
+        "tolerance": 0.1,
+        "strain": 0.3,
+        "max_steps": 1000,
+        "branch": "primary",
+    },
+    "solver": {
+        "integration_points": 2,
+        "newton_tolerance": 1e-9,
+        "max_iterations": 25,
+        "linear": "direct",
+        "petsc": {"snes_rtol": 0.0},
+    },
     "output": {"profiles_at": [0.005, 0.01], "fields": True, "figures": False},
 }
 PLANE: dict[str, Any] = change(

@@ -77,7 +77,7 @@ def _refusal(file: Path, given: Sequence[str], *, compiling: bool) -> str | None
                     stack.enter_context(mock.patch.object(module, "Problem", side_effect=_Far))
             if not _is_large(scene):
                 body = build(scene, MPI.COMM_SELF)
-                describe(body, kernel_shares(effects(body), body, compiling=False))
+                describe(body, kernel_shares(effects(body), body))
                 assert str(expected_cost(body))
     except SceneError as error:
         return str(error)

@@ -13,6 +13,9 @@ from unittest.mock import patch
 
 import numpy as np
 from layers import difference
+from meshes import square, write_msh
+from planes import BASE, BIAXIAL
+from scenes import change
 
 from cosserat_fx._compat import MPI
 from cosserat_fx.interruption import InterruptedRunError, Interruption
@@ -23,6 +26,26 @@ from cosserat_fx.scene import Scene, parse_scene
 
 AFTER = 20
 """Evaluations of the law, which fall within a step."""
+LAYER: dict[str, Any] = {
+    "geometry": {"height": 0.01, "cells": 12},
+    "initial": {"stress": -100e3, "void_ratio": 0.6},
+    "walls": {
+        "top": {"rolling": 0.0125, "normal_stress": -120e3, "shear_displacement": [0.001, 0.0006]},
+    },
+    "output": {"profiles_at": [0.0005, 0.001], "figures": False},
+}
+"""A normal stress that is brought up first, shear, and a reversal."""
+COMPRESSION = change(
+    BASE,
+    BIAXIAL
+    | {
+        "initial.zones": [{"x": [0.0, 0.01], "y": [0.0, 0.01], "void_ratio": 0.65}],
+        "boundaries.top.u2": -0.0006,
+        "output": {"figures": False, "animation": False, "fields_at": [0.0003, 0.0006]},
+    },
+)
+"""A body that is not alike everywhere: where it were, rounding would decide where it gives way."""
+ELEMENTS = {"Q1R": "quad", "Q1": "quad", "Q2Q1": "quad", "P1": "triangle", "P2P1": "triangle"}
 
 
 @contextmanager
@@ -104,3 +127,14 @@ if __name__ == "__main__":
     pairs = all_pairs(json.loads(sys.argv[1]), Path(sys.argv[2]))
     if MPI.COMM_WORLD.rank == 0:
         print(json.dumps(np.array(pairs).tolist()))
+
+
+def scene_of(kind: str, tmp_path: Path) -> dict[str, Any]:
+    """Tables of a scene by its kind or element."""
+    if kind == "layer":
+        return LAYER
+    if kind == "classical":
+        return change(COMPRESSION, {"effects.polar": False})
+    file = write_msh(tmp_path / f"{kind}.msh", square(3, 4, ELEMENTS[kind]))
+    mesh = {"geometry": {"kind": "mesh", "file": str(file), "scale": 0.02}, "solver": {"element": kind}}
+    return change(COMPRESSION, mesh)

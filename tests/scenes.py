@@ -23,6 +23,13 @@ RECTANGLE: dict[str, Any] = {
     "points": {"pin": {"at": [0.0, 0.0], "u1": 0.0}},
 }
 """Biaxial compression, with next to nothing but what has to be given."""
+LAYER: dict[str, Any] = {
+    "geometry": {"height": 0.04, "cells": 80},
+    "initial": {"stress": -100e3, "void_ratio": 0.6},
+    "walls": {"top": {"normal_stress": -100e3, "shear_displacement": 0.03}},
+}
+"""A layer, with next to nothing but what has to be given."""
+FRACTIONS = {"f_u": 0.8, "f_r": 0.15, "f_s": 0.05}
 
 type Path = tuple[str | int, ...]
 
@@ -40,6 +47,11 @@ def change(base: dict[str, Any], changes: Mapping[str, object]) -> dict[str, Any
         else:
             table[last] = copy.deepcopy(value)
     return tables
+
+
+def changed_layer(changes: Mapping[str, object]) -> dict[str, Any]:
+    """The least scene of a layer with some keys changed."""
+    return change(LAYER, changes)
 
 
 def to_toml(table: dict[str, Any], prefix: str = "") -> str:

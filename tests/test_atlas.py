@@ -15,7 +15,7 @@ runs: Any = import_module("stability_atlas_runs")
 SAMPLES = [scene for scene in atlas.samples(64) if scene.cells <= 60][:7]
 CORNERS = [scene for scene in atlas.corners(64) if scene.cells == 2][::2]
 """Two cells are soon solved, however hard the rest."""
-CAUSES = "exceeds e_i|next to e_[id]|below e_d|no longer compressive|ellipticity|left the domain"
+CAUSES = "exceeds e_i|next to e_[id]|come to e_d|below e_d|no longer compressive|ellipticity|left the domain"
 PLACE = r"at [-\d.e]+ m\b"
 
 

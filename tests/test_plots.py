@@ -39,6 +39,7 @@ def history_row(step: int, travel: float, normal_stress: float) -> dict[str, flo
         "substeps_max": 2,
         "mobilised_friction": friction,
         "max_shear_strain": 50.0 * abs(travel),
+        "jumps": 0,
     }
 
 

@@ -1,13 +1,10 @@
 import json
-import math
 from collections.abc import Callable, Mapping, Sequence
-from datetime import date
 from pathlib import Path
-from typing import Any
 
 import pytest
 from hypothesis import given, settings
-from scenes import ABSENT, Mutation, assert_scene_or_clear_refusal, change, mutations, to_toml
+from scenes import ABSENT, FRACTIONS, LAYER, Mutation, assert_scene_or_clear_refusal, changed_layer, mutations, to_toml
 
 from cosserat_fx.material import Material
 from cosserat_fx.scene import LayerScene, SceneError, load_scene, parse_scene
@@ -34,17 +31,6 @@ shear_displacement = 0.03
 [output]
 profiles_at = [0.004, 0.01, 0.02, 0.03]
 """
-LEAST: dict[str, Any] = {
-    "geometry": {"height": 0.04, "cells": 80},
-    "initial": {"stress": -100e3, "void_ratio": 0.6},
-    "walls": {"top": {"normal_stress": -100e3, "shear_displacement": 0.03}},
-}
-FRACTIONS = {"f_u": 0.8, "f_r": 0.15, "f_s": 0.05}
-
-
-def changed(changes: Mapping[str, object]) -> dict[str, Any]:
-    """The least scene of a layer with some keys changed."""
-    return change(LEAST, changes)
 
 
 def parse_layer(tables: Mapping[str, object]) -> LayerScene:
@@ -79,7 +65,7 @@ def test_the_scene_of_the_design_page_reads_as_written(scene_file: Path) -> None
 
 
 def test_what_a_scene_leaves_out_is_filled_in() -> None:
-    scene = parse_layer(LEAST)
+    scene = parse_layer(LAYER)
     assert scene.material == Material.named("paper-sand")
     assert (scene.walls.bottom.rolling, scene.walls.top.rolling, scene.walls.top.constant_height) == (0.0, 0.0, False)
     assert scene.effects.model_dump() == {"polar": True, "finite_strain": "auto", "spin": "macro", "void_ratio": True}
@@ -87,7 +73,10 @@ def test_what_a_scene_leaves_out_is_filled_in() -> None:
         "first_step": None,
         "max_step": None,
         "min_step": None,
+        "tolerance": 0.12,
+        "strain": 0.4,
         "max_steps": 100000,
+        "max_jumps": 100,
         "branch": None,
     }
     assert (scene.solver.integration_points, scene.solver.petsc) == (1, {})
@@ -110,7 +99,7 @@ def test_what_a_scene_leaves_out_is_filled_in() -> None:
     ],
 )
 def test_a_scene_survives_a_round_trip_through_toml_and_json(changes: dict[str, object], tmp_path: Path) -> None:
-    scene = parse_scene(changed(changes))
+    scene = parse_scene(changed_layer(changes))
     path = tmp_path / "again.toml"
     path.write_text(to_toml(scene.as_dict()))
     assert load_scene(path) == scene
@@ -119,16 +108,16 @@ def test_a_scene_survives_a_round_trip_through_toml_and_json(changes: dict[str, 
 
 def test_a_scene_is_frozen() -> None:
     with pytest.raises(ValueError, match="frozen"):
-        parse_layer(LEAST).geometry.height = 1.0
+        parse_layer(LAYER).geometry.height = 1.0
 
 
 def test_a_material_given_as_such_is_taken() -> None:
     coarse = Material.named("paper-sand", d50=5e-3)
-    assert parse_scene({**LEAST, "material": coarse}).material is coarse
+    assert parse_scene({**LAYER, "material": coarse}).material is coarse
 
 
 def test_a_whole_number_is_a_number() -> None:
-    assert parse_layer(changed({"geometry.height": 1})).geometry.height == 1.0
+    assert parse_layer(changed_layer({"geometry.height": 1})).geometry.height == 1.0
 
 
 @pytest.mark.parametrize(
@@ -138,14 +127,14 @@ def test_a_whole_number_is_a_number() -> None:
 def test_walls_move_and_turn_the_particles(
     wall: dict[str, float], displacement_factor: float, rotation_times_radius: float
 ) -> None:
-    bottom = parse_layer(changed({"walls.bottom": wall})).walls.bottom
+    bottom = parse_layer(changed_layer({"walls.bottom": wall})).walls.bottom
     assert bottom.displacement_factor == displacement_factor
     assert bottom.rolling_rotation_factor(0.5e-3) == pytest.approx(rotation_times_radius / 0.25e-3)
 
 
 def test_both_forms_of_a_wall_law_turn_the_particles_alike() -> None:
-    by_fractions = parse_layer(changed({"walls.bottom": FRACTIONS})).walls.bottom
-    by_ratio = parse_layer(changed({"walls.bottom.rolling": FRACTIONS["f_r"] / FRACTIONS["f_u"]})).walls.bottom
+    by_fractions = parse_layer(changed_layer({"walls.bottom": FRACTIONS})).walls.bottom
+    by_ratio = parse_layer(changed_layer({"walls.bottom.rolling": FRACTIONS["f_r"] / FRACTIONS["f_u"]})).walls.bottom
     wall_displacement, d50 = 0.02, 0.5e-3
     particle_displacement = by_fractions.displacement_factor * wall_displacement
     assert by_fractions.rolling_rotation_factor(d50) * wall_displacement == pytest.approx(
@@ -164,7 +153,7 @@ def test_both_forms_of_a_wall_law_turn_the_particles_alike() -> None:
     ],
 )
 def test_legs_pair_the_targets_of_the_walls(top: object, bottom: object, legs: list[tuple[float, float]]) -> None:
-    scene = parse_layer(changed({"walls.top.shear_displacement": top, "walls.bottom.shear_displacement": bottom}))
+    scene = parse_layer(changed_layer({"walls.top.shear_displacement": top, "walls.bottom.shear_displacement": bottom}))
     assert list(scene.legs) == legs
     assert [leg.travel for leg in scene.legs] == [a - b for a, b in legs]
     assert scene.largest_displacement == max(abs(a - b) for a, b in legs)
@@ -186,13 +175,13 @@ def test_legs_pair_the_targets_of_the_walls(top: object, bottom: object, legs: l
 def test_profiles_are_spread_over_one_leg_or_taken_at_the_ends_of_several(
     changes: dict[str, object], profiles: list[float]
 ) -> None:
-    assert parse_layer(changed(changes)).output.profiles_at == pytest.approx(tuple(profiles), rel=1e-12)
+    assert parse_layer(changed_layer(changes)).output.profiles_at == pytest.approx(tuple(profiles), rel=1e-12)
 
 
 def test_profiles_are_placed_in_turn_on_a_path_that_turns_back() -> None:
     travels = [0.0, 2e-3, 2e-3, -4e-3, 2e-3, 4e-3]
     path = {"walls.top.shear_displacement": [4e-3, -4e-3, 4e-3], "output.profiles_at": travels}
-    stations = parse_layer(changed(path)).profile_stations
+    stations = parse_layer(changed_layer(path)).profile_stations
     assert [(station.leg, station.travel) for station in stations] == list(
         zip([0, 0, 1, 1, 2, 2], travels, strict=True)
     )
@@ -202,156 +191,7 @@ def test_profiles_are_placed_in_turn_on_a_path_that_turns_back() -> None:
 def test_a_profile_within_rounding_of_the_end_is_at_the_end() -> None:
     walls = {"walls.top.shear_displacement": 0.1, "walls.bottom.shear_displacement": -0.2, "output.profiles_at": 0.3}
     assert 0.1 + 0.2 != 0.3
-    assert parse_layer(changed(walls)).profile_stations == ((0, 1.0, 0.3),)
-
-
-BAD_INPUT: list[tuple[dict[str, object], str, str]] = [
-    # keys and tables
-    ({"geometry.hieght": 0.04}, "geometry.hieght = 0.04", "unknown key, did you mean height?"),
-    ({"geometri": {"height": 1}}, "geometri = {height = 1}", "unknown key, did you mean geometry?"),
-    ({"walls.top.shear_displacment": 1}, "walls.top.shear_displacment = 1", "did you mean shear_displacement?"),
-    ({"walls.bottom.normal_stress": -1}, "walls.bottom.normal_stress = -1", "unknown key. The keys here are rolling"),
-    ({"material.phi": 30}, "material.phi = 30", "did you mean phi_c?"),
-    ({'geometry.two\nlines "': 1}, r'geometry."two\nlines \"" = 1', "unknown key"),
-    ({"geometry.height": ABSENT}, "geometry.height is missing", "must be a finite number greater than 0 (m)"),
-    ({"initial": ABSENT}, "initial is missing", "must be a table with the keys stress, void_ratio"),
-    ({"walls": [1]}, "walls = [1]", "must be a table with the keys bottom, top"),
-    ({"material": "paper-sand"}, 'material = "paper-sand"', "must be a table"),
-    (
-        {"boundaries.top.u2": 1},
-        "boundaries = {top = {...}}",
-        'only geometry.kind = "rectangle" or "mesh" has this key; a',
-    ),
-    ({"geometry.width": 1}, "geometry.width = 1", 'must be left out, as only geometry.kind = "rectangle" has this key'),
-    ({"solver.element": "Q1"}, 'solver.element = "Q1"', 'only geometry.kind = "rectangle" or "mesh" has this key. The'),
-    # initial state and weight
-    ({"initial.zones": [{"x": [0, 1], "void_ratio": 0.7}]}, "initial.zones[0].x = [0.0, 1.0]", "zones are given by y"),
-    ({"initial.zones": [{"region": "a", "void_ratio": 0.7}]}, 'initial.zones[0].region = "a"', "zones are given by y"),
-    ({"initial.zones": [{"y": [1, 2], "void_ratio": 0.7}]}, "initial.zones[0].y = [1.0, 2.0]", "y from 0 to 0.04 m"),
-    ({"initial.zones": [{"y": [0, 1], "void_ratio": 0.1}]}, "initial.zones[0].void_ratio = 0.1", "greater than e_d"),
-    ({"initial.field.file": "nowhere.csv"}, 'initial.field.file = "nowhere.csv"', "there is none at nowhere.csv"),
-    ({"weight.density": -1}, "weight.density = -1", "greater than 0 (kg/m3)"),
-    # types
-    ({"geometry.height": "3"}, 'geometry.height = "3"', "must be a finite number greater than 0 (m)"),
-    ({"geometry.height": True}, "geometry.height = true", "must be a finite number"),
-    ({"geometry.height": [0.04]}, "geometry.height = [0.04]", "must be a finite number"),
-    ({"geometry.height": date(2020, 1, 2)}, "geometry.height = 2020-01-02", "must be a finite number"),
-    ({"geometry.height": math.nan}, "geometry.height = nan", "must be a finite number"),
-    ({"initial.stress": -math.inf}, "initial.stress = -inf", "must be a finite number"),
-    ({"geometry.height": 10**400}, "geometry.height = 0x", "must be a finite number"),
-    ({"geometry.cells": 80.0}, "geometry.cells = 80.0", "must be a whole number"),
-    ({"geometry.cells": True}, "geometry.cells = true", "must be a whole number"),
-    ({"effects.polar": 1}, "effects.polar = 1", "must be true or false"),
-    ({"title": 3}, "title = 3", "must be a string"),
-    ({"solver.integration_points": True}, "solver.integration_points = true", "must be a whole number"),
-    ({"solver.petsc": 3}, "solver.petsc = 3", "must be a table"),
-    ({"solver.petsc.snes_rtol": [1]}, "solver.petsc.snes_rtol = [1]", "must be a string, true, false, a finite number"),
-    (
-        {"solver.petsc.snes_rtol": math.nan},
-        "solver.petsc.snes_rtol = nan",
-        "must be a string, true, false, a finite number",
-    ),
-    ({"solver.petsc.snes_max_it": 2**63}, f"solver.petsc.snes_max_it = {2**63}", "a 64-bit integer"),
-    ({"walls.top.shear_displacement": "far"}, 'walls.top.shear_displacement = "far"', "a finite number or a list"),
-    ({"walls.top.shear_displacement": [1, "far"]}, 'walls.top.shear_displacement[1] = "far"', "or a list of 1 to"),
-    ({"walls.top.shear_displacement": ["far"]}, 'walls.top.shear_displacement[0] = "far"', "or a list of 1 to"),
-    # ranges
-    ({"geometry.kind": "box"}, 'geometry.kind = "box"', 'must be "layer", "rectangle" or "mesh"'),
-    ({"geometry.kind": ["layer"]}, 'geometry.kind = ["layer"]', 'must be "layer", "rectangle" or "mesh"'),
-    ({"geometry.height": -1}, "geometry.height = -1", "greater than 0 (m)"),
-    ({"geometry.cells": 0}, "geometry.cells = 0", "at least 1 and at most 10000000"),
-    ({"geometry.cells": 10_000_001}, "geometry.cells = 10000001", "at least 1 and at most 10000000"),
-    ({"initial.stress": 0}, "initial.stress = 0", "less than 0 (Pa, tension positive)"),
-    ({"initial.stress": 100e3}, "initial.stress = 100000.0", "less than 0 (Pa, tension positive)"),
-    ({"initial.void_ratio": 0.4727}, "initial.void_ratio = 0.4727", "greater than e_d = 0.472797 and less than e_i"),
-    ({"initial.void_ratio": 1.1125}, "initial.void_ratio = 1.1125", "less than e_i = 1.11246"),
-    ({"solver.integration_points": 3}, "solver.integration_points = 3", "at least 1 and at most 2"),
-    ({"solver.newton_tolerance": 0}, "solver.newton_tolerance = 0", "greater than 0 and less than 1"),
-    ({"solver.max_iterations": 0}, "solver.max_iterations = 0", "at least 1"),
-    ({"solver.local_tolerance": 1}, "solver.local_tolerance = 1", "greater than 0 and less than 1"),
-    ({"stepping.max_steps": 0}, "stepping.max_steps = 0", "at least 1"),
-    ({"stepping.first_step": 0}, "stepping.first_step = 0", "greater than 0 (m)"),
-    ({"stepping": {"min_step": 1e-3, "max_step": 1e-4}}, "stepping.max_step = 0.0001", "stepping.min_step = 0.001"),
-    ({"stepping": {"first_step": 1e-3, "max_step": 1e-4}}, "stepping.max_step = 0.0001", "stepping.first_step = 0.001"),
-    ({"stepping": {"first_step": 1e-5, "min_step": 1e-4}}, "stepping.first_step = 1e-05", "stepping.min_step = 0.0001"),
-    # material
-    ({"material.constants": "papersand"}, 'material.constants = "papersand"', 'one of "paper-sand" (did you mean'),
-    ({"material.constants": [1]}, "material.constants = [1]", 'must be one of "paper-sand"'),
-    ({"material.e_d0": 0.9}, "material.e_d0 = 0.9", "less than e_c0 = 0.82"),
-    ({"material.alpha": 2}, "material.alpha = 2", "bracket h_i = -0.494176 is not positive"),
-    ({"material.n": "0.4"}, 'material.n = "0.4"', "must be a finite number"),
-    # walls
-    ({"walls.top.rolling": -1}, "walls.top.rolling = -1", "at least 0"),
-    ({"walls.bottom": {**FRACTIONS, "f_s": 0.1}}, "walls.bottom.f_u = 0.8", "f_u + f_r + f_s = 1, but the sum is 1.05"),
-    ({"walls.bottom": {"f_u": 0, "f_r": 0.5, "f_s": 0.5}}, "walls.bottom.f_u = 0", "greater than 0 and at most 1"),
-    ({"walls.bottom": {"f_u": 0.5, "f_s": 0.5}}, "walls.bottom.f_r is missing", "the other two of f_u, f_r and f_s"),
-    ({"walls.bottom": {**FRACTIONS, "rolling": 0.1}}, "walls.bottom.rolling = 0.1", "left out"),
-    (
-        {"walls.top.constant_height": True},
-        "walls.top.normal_stress = -100000.0",
-        "left out where constant_height = true",
-    ),
-    ({"walls.top.normal_stress": ABSENT}, "walls.top.normal_stress is missing", "unless constant_height = true"),
-    ({"walls.top.normal_stress": 0}, "walls.top.normal_stress = 0", "less than 0 (Pa, tension positive)"),
-    # path
-    ({"walls.top.shear_displacement": ABSENT}, "walls.top.shear_displacement = [0.0]", "no wall would move"),
-    ({"walls.top.shear_displacement": []}, "walls.top.shear_displacement = []", "a list of 1 to 100000"),
-    (
-        {"walls.top.shear_displacement": [0.1] * 100_001},
-        "walls.top.shear_displacement = [0.1, ",
-        "a list of 1 to 100000",
-    ),
-    ({"walls.top.shear_displacement": [1, 1]}, "walls.top.shear_displacement[1] = 1.0", "must move a wall"),
-    ({"walls.top.shear_displacement": [0, 1]}, "walls.top.shear_displacement[0] = 0.0", "must move a wall"),
-    (
-        {"walls.bottom.shear_displacement": [1, 2]},
-        "walls.top.shear_displacement = [0.03]",
-        "as many targets as walls.b",
-    ),
-    # effects
-    ({"effects.spin": "marco"}, 'effects.spin = "marco"', 'must be "macro", "cosserat" or "none"'),
-    ({"effects.finite_strain": 1}, "effects.finite_strain = 1", 'must be "auto" or true or false'),
-    ({"effects": {"spin": "cosserat", "polar": False}}, 'effects.spin = "cosserat"', "where effects.polar = false"),
-    ({"effects.polar": False, "walls.top.rolling": 0.1}, "walls.top.rolling = 0.1", "no rotation to prescribe"),
-    ({"effects.polar": False, "walls.bottom": FRACTIONS}, "walls.bottom.f_r = 0.15", "no rotation to prescribe"),
-    # output
-    (
-        {"output.profiles_at": [0.01, 0.031]},
-        "output.profiles_at[1] = 0.031",
-        "relative wall travel (top minus bottom), 0 to",
-    ),
-    ({"output.profiles_at": [-0.01]}, "output.profiles_at[0] = -0.01", "0 to 0.03 m"),
-    ({"output.profiles_at": [0.02, 0.01]}, "output.profiles_at[1] = 0.01", "in the order of the path"),
-    ({"output.profiles_at": [0.02, 0.02]}, "output.profiles_at[1] = 0.02", "once each"),
-]
-
-
-@pytest.mark.parametrize(
-    ("changes", "subject", "allowed"), BAD_INPUT, ids=[subject[:50] for _, subject, _ in BAD_INPUT]
-)
-def test_bad_input_is_refused_in_one_line(changes: dict[str, object], subject: str, allowed: str) -> None:
-    with pytest.raises(SceneError) as caught:
-        parse_scene(changed(changes))
-    (line,) = str(caught.value).splitlines()
-    assert line.startswith(subject)
-    assert allowed in line
-    assert "pydantic" not in line
-    assert "http" not in line
-
-
-def test_each_wrong_key_has_its_line() -> None:
-    with pytest.raises(SceneError) as caught:
-        parse_scene(changed({"geometry.height": -1, "geometry.cells": 0, "effects.spin": 3}))
-    keys = [line.split(" = ")[0] for line in str(caught.value).splitlines()]
-    assert keys == ["geometry.height", "geometry.cells", "effects.spin"]
-
-
-def test_many_wrong_keys_are_cut_to_a_readable_number() -> None:
-    with pytest.raises(SceneError) as caught:
-        parse_scene(changed({"walls.top.shear_displacement": ["far"] * 1000}))
-    lines = str(caught.value).splitlines()
-    assert len(lines) == 21
-    assert lines[-1] == "... and 980 more"
+    assert parse_layer(changed_layer(walls)).profile_stations == ((0, 1.0, 0.3),)
 
 
 @pytest.mark.parametrize(
@@ -430,7 +270,7 @@ def test_a_bad_override_is_refused(override: str, message: str, scene_file: Path
 
 
 COMPLETE = parse_scene(
-    changed(
+    changed_layer(
         {
             "stepping": {"min_step": 1e-6, "first_step": 1e-5, "max_step": 1e-3},
             "weight.density": 1600.0,

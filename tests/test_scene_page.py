@@ -111,7 +111,7 @@ def told_keys(kind: str) -> dict[tuple[str, str], list[str]]:
     """Rows of the page on a kind of scene by table and key, without the key; a heading may name two tables."""
     rows: dict[tuple[str, str], list[str]] = {}
     for heading, row in pages.rows("docs/scene.md"):
-        paths = [""] if heading == "Before the first table" else re.findall(r"\[([\w.]+)\]", heading)
+        paths = [""] if heading.startswith("Before the first table") else re.findall(r"\[([\w.]+)\]", heading)
         alone = re.search(r" of a (layer|plane body|rectangle|mesh)", heading)
         if row[0] != "key" and (alone is None or kind in HEADINGS[alone[1]]):
             rows |= {(path, row[0].strip("`")): row[1:] for path in paths}

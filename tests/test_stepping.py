@@ -328,6 +328,15 @@ def test_the_smallest_step_is_a_part_of_the_first_unless_it_is_given() -> None:
     assert StepControl(first=1.0, stiff=1e-3).smallest == pytest.approx(1e-7)
 
 
+def test_a_scene_sets_the_aims_of_its_steps_and_leaves_the_default_ones_alone() -> None:
+    defaults = build(scene("medium_rough"), MPI.COMM_SELF).stepper.control
+    assert (defaults.tolerance, defaults.strain) == (StepControl(first=1.0).tolerance, StepControl(first=1.0).strain)
+    control = build(
+        scene("medium_rough", "stepping.tolerance=0.03", "stepping.strain=0.1"), MPI.COMM_SELF
+    ).stepper.control
+    assert (control.tolerance, control.strain) == (0.03, 0.1)
+
+
 def test_a_walk_ends_after_as_many_steps_as_allowed() -> None:
     walk = Bar().walk([0.0, 10.0], [], StepControl(first=1.0, max_steps=2))
     assert [next(walk).number, next(walk).number] == [1, 2]

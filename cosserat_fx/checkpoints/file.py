@@ -25,7 +25,7 @@ from cosserat_fx.checkpoints.snapshot import Records
 from cosserat_fx.output.tables import OutputError, discard
 from cosserat_fx.parallel import on_first_rank
 
-FORMAT = 1
+FORMAT = 2
 """Version of the layout."""
 
 _MAGIC = b"cosserat-fx ckpt"

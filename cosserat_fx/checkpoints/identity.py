@@ -11,7 +11,7 @@ from cosserat_fx.scene import Scene
 
 _FREE = {"title", "stepping", "output"}
 """What may be changed between the two halves of a run."""
-_FREE_IN_SOLVER = {"newton_tolerance", "max_iterations", "local_tolerance", "petsc"}
+_FREE_IN_SOLVER = {"newton_tolerance", "max_iterations", "local_tolerance", "linear", "petsc"}
 
 
 def identity(scene: Scene) -> dict[str, Any]:

@@ -189,8 +189,8 @@ def friction_metrics(history: Columns) -> FrictionMetrics:
     shear = np.abs(history["shear_stress_Pa"][leg])
     friction = shear / np.abs(history["normal_stress_Pa"][leg])
     top_friction, top_shear = int(np.argmax(friction)), int(np.argmax(shear))
-    friction_vertex = _vertex(travel, friction, top_friction)
-    shear_vertex = _vertex(travel, shear, top_shear)
+    friction_vertex = vertex(travel, friction, top_friction)
+    shear_vertex = vertex(travel, shear, top_shear)
     return FrictionMetrics(
         peak_friction=float(friction[top_friction]),
         peak_friction_travel_m=float(travel[top_friction]),
@@ -243,7 +243,7 @@ def _first_leg(travel: Array) -> int:
     return int(back[0]) if back.size else int(travel.size)
 
 
-def _vertex(x: Array, value: Array, top: int) -> tuple[float, float]:
+def vertex(x: Array, value: Array, top: int) -> tuple[float, float]:
     """Vertex of the parabola through the largest row and its neighbours (Newton's divided differences)."""
     if 0 < top < x.size - 1 and np.all(np.diff(x[top - 1 : top + 2])):
         x0, x1, x2 = x[top - 1 : top + 2]

@@ -92,6 +92,7 @@ class LayerObserver:
             "substeps_max": int(largest(problem, problem.state.substeps[problem.state.points])),
             "mobilised_friction": abs(shear / normal),
             "max_shear_strain": largest(problem, np.abs(strain)),
+            "jumps": step.jumps,
         }
 
     def profile(self, step: int, travel: float) -> Columns | None:

@@ -99,6 +99,7 @@ class PlaneObserver:
             "newton_iterations": step.iterations,
             "cutbacks": step.cutbacks,
             "branch_passages": step.passages,
+            "jumps": step.jumps,
             "substeps_max": int(largest(problem, state.substeps[state.points])),
             "void_ratio_max": largest(problem, e),
             "void_ratio_min": -largest(problem, -e),

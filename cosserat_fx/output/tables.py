@@ -28,6 +28,7 @@ HISTORY_COLUMNS = (
     "substeps_max",
     "mobilised_friction",
     "max_shear_strain",
+    "jumps",
 )
 """Columns of a layer's ``history.csv``; columns may be added, not renamed."""
 
@@ -38,6 +39,7 @@ PLANE_COLUMNS = (
     "newton_iterations",
     "cutbacks",
     "branch_passages",
+    "jumps",
     "substeps_max",
     "void_ratio_max",
     "void_ratio_min",

@@ -26,8 +26,8 @@ class LayerGeometry(Table):
     kind: Literal["layer"] = "layer"
     height: Length = Field(gt=0)
     """Height of the undeformed layer, m."""
-    cells: int = Field(ge=1, le=MAX_CELLS)
-    """Number of finite elements over the height."""
+    cells: int | None = Field(default=None, ge=1, le=MAX_CELLS)
+    """Number of finite elements over the height; None where an accuracy chooses it."""
 
 
 class Wall(WallLaw):

@@ -200,8 +200,14 @@ class Stepping(Table):
     first_step: Length | None = Field(default=None, gt=0)
     max_step: Length | None = Field(default=None, gt=0)
     min_step: Length | None = Field(default=None, gt=0)
+    tolerance: float = Field(default=0.12, gt=0)
+    """Aimed change of the strain rate over a step, relative to the strain rate."""
+    strain: float = Field(default=0.4, gt=0)
+    """Aimed largest strain increment of any point."""
     max_steps: int = Field(default=100_000, ge=1)
     """Number of accepted steps after which the run stops."""
+    max_jumps: int = Field(default=100, ge=0)
+    """Number of jumps to another equilibrium that a run may have; with more the body moves by stick and slip."""
     branch: Literal["stable", "primary"] | None = None
     """What to do where equilibrium bifurcates: go on along a stable branch (the default in the plane), or stay on the
     primary one (in a layer)."""
@@ -225,6 +231,8 @@ class Solver(Table):
     """Newton iterations after which a step is cut back."""
     local_tolerance: float = Field(default=1e-3, gt=0, lt=1)
     """Relative error allowed in the integration of the law over a step."""
+    linear: Literal["auto", "direct", "iterative"] = "auto"
+    """How linear systems are solved: by factors, or by GMRES with multigrid."""
     petsc: dict[str, PetscOption] = Field(default_factory=dict)
     """Options passed through to PETSc; none by which it would call Python code or write files."""
 
