@@ -95,7 +95,7 @@ class Ours:
         failure = problem.update(adapt=False)
         assert failure is None, str(failure)
         problem.assemble_residual(problem.vector)
-        problem.assemble_jacobian(problem.matrix)
+        problem.assemble_jacobian()
         self._ksp.setOperators(problem.matrix)
         solution = seconds(lambda: self._ksp.solve(problem.vector, self._x))
         names = {

@@ -59,7 +59,7 @@ def measure(state: Band, refinement: int, kinds: tuple[Kind, ...]) -> dict[str, 
 
     def assemble() -> None:
         problem.assemble_residual(problem.vector)
-        problem.assemble_jacobian(problem.matrix)
+        problem.assemble_jacobian()
 
     def iterative() -> None:
         problem.matrix.stateIncrease()  # or what was set up for it before would serve again

@@ -56,7 +56,7 @@ class LinearSystem:
         """
         if self.choice.kind == "iterative":
             self._restore_options()
-        self._problem.assemble_jacobian(self._problem.matrix)
+        self._problem.assemble_jacobian()
         self._prepare()
 
     def solve(self, b: PETSc.Vec, x: PETSc.Vec) -> bool:

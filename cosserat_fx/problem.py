@@ -19,6 +19,7 @@ from cosserat_fx.geometry import Geometry
 from cosserat_fx.hypoplasticity import FIRST_FAILURE, REASONS, Status
 from cosserat_fx.layout import layout
 from cosserat_fx.material import Material
+from cosserat_fx.matrix import FormMatrix
 from cosserat_fx.state import QuadratureState
 from cosserat_fx.timing import Stopwatch
 from cosserat_fx.typing import Array, IntArray
@@ -115,7 +116,8 @@ class Problem:
         self.fields = field_spaces(self.space, polar=numerics.polar)
         self._nodes: dict[tuple[str, Field], IntArray] = {}
         self.prescribed = PrescribedValues(geometry, self.fields, [c for c in conditions if isinstance(c, Prescribed)])
-        self.matrix = dolfinx.fem.petsc.create_matrix(self._form.jacobian)
+        self._jacobian = FormMatrix(self._form.jacobian)
+        self.matrix = self._jacobian.petsc
         self.vector = dolfinx.fem.petsc.assemble_vector(self._form.residual)
         self.internal_work = 0.0
         self._internal_forces = self.internal_forces()
@@ -233,12 +235,10 @@ class Problem:
             dofs = held.dofs[held.owned]
             b.array_w[dofs] = self.unknown.x.array[dofs] - held.values[held.owned]
 
-    def assemble_jacobian(self, a: PETSc.Mat) -> None:
+    def assemble_jacobian(self) -> None:
         """Assemble the derivative of the residual, with unit rows and zero columns at prescribed entries."""
         with self.stopwatch("Jacobian assembly"):
-            a.zeroEntries()
-            dolfinx.fem.petsc.assemble_matrix(a, self._form.jacobian, bcs=self.prescribed.bcs)
-            a.assemble()
+            self._jacobian.assemble(self.prescribed.bcs)
 
     def assemble_prediction(self, b: PETSc.Vec) -> None:
         """Right-hand side of a linear step from the unknown at hand to the prescribed values and tractions."""

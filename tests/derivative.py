@@ -40,7 +40,7 @@ def order_of_remainder(problem: Problem, length: float, strain: float = 0.002) -
     assert failure is None, failure
     assert problem.state.substeps.max() > 1
     at = residual_at(start)
-    problem.assemble_jacobian(problem.matrix)
+    problem.assemble_jacobian()
     direction.array_w[:] = nearby() - start
     problem.matrix.mult(direction, slope)
     parts = [0.1 / 2**k for k in range(7)]

@@ -22,18 +22,33 @@ def run(name: str, out: Path) -> str:
 
 
 def figures(name: str, out: Path) -> dict[str, object]:
-    """What a benchmark measured; it left a table and a picture too."""
+    """What a benchmark measured; it left a table too."""
     assert "| ---" in (out / f"{name}.md").read_text()
-    assert (out / f"{name}.png").stat().st_size > 10_000
     found: dict[str, object] = json.loads((out / f"{name}.json").read_text())
     assert found["machine"]
     return found
 
 
-@pytest.mark.parametrize("name", ["newton_floor", "ranks", "growth"])
+@pytest.mark.parametrize("name", ["newton_floor", "ranks", "growth", "effects_price"])
 def test_benchmarks_leave_figures_table_and_picture(name: str, tmp_path: Path) -> None:
     run(name, tmp_path)
     figures(name, tmp_path)
+    assert (tmp_path / f"{name}.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("name", ["overhead", "prediction"])
+def test_benchmarks_without_a_picture(name: str, tmp_path: Path) -> None:
+    run(name, tmp_path)
+    figures(name, tmp_path)
+
+
+def test_the_two_programs_of_the_update_agree(tmp_path: Path) -> None:
+    """The kernel's answers are those of the C program, in stress and tangent, to rounding."""
+    run("kernel_speed", tmp_path)
+    found = figures("kernel_speed", tmp_path)["runs"]
+    assert isinstance(found, dict)
+    differences = [run["difference"] for run in found.values()]
+    assert all(0 < part < 1e-10 for difference in differences for part in difference.values())
 
 
 def test_the_law_behind_an_external_operator_gives_the_same_solution(tmp_path: Path) -> None:

@@ -76,7 +76,7 @@ def test_residual_and_jacobian_hold_the_work_and_its_derivative() -> None:
         problem.unknown.x.array[only] = rotation
         assert problem.update(adapt=True) is None
         problem.assemble_residual(problem.vector)
-        problem.assemble_jacobian(problem.matrix)
+        problem.assemble_jacobian()
         assembled.append((problem.vector.array.copy(), problem.matrix[:, :]))
     (residual, jacobian), (free_residual, free_jacobian) = assembled
     force, slope = c * rotation**3 / SAND.d50, 3 * c * rotation**2 / SAND.d50

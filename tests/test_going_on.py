@@ -107,13 +107,13 @@ def discourage(solver: NewtonSolver) -> None:
 
 def blind(solver: NewtonSolver) -> None:
     """MUMPS is given a matrix without entries."""
-    assemble = solver._problem.assemble_jacobian
+    problem, assemble = solver._problem, solver._problem.assemble_jacobian
 
-    def assemble_nothing(a: Any) -> None:
-        assemble(a)
-        a.zeroEntries()
+    def assemble_nothing() -> None:
+        assemble()
+        problem.matrix.zeroEntries()
 
-    solver._problem.assemble_jacobian = assemble_nothing  # type: ignore[method-assign]
+    problem.assemble_jacobian = assemble_nothing  # type: ignore[method-assign]
 
 
 @pytest.mark.parametrize("sabotage", [starve, discourage, blind])

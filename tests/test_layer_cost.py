@@ -50,6 +50,7 @@ def test_a_walk_creates_no_form_space_or_matrix(monkeypatch: pytest.MonkeyPatch)
 
     for owner, names in (
         (dolfinx.fem, ("form", "Expression", "functionspace", "Function", "Constant", "dirichletbc")),
+        (dolfinx.fem, ("create_matrix",)),
         (dolfinx.fem.petsc, ("create_matrix", "create_vector")),
         (dolfinx.jit, ("ffcx_jit",)),
     ):
@@ -82,7 +83,7 @@ def python_calls(layer: Layer) -> int:
         try:
             problem.update(adapt=True)
             problem.assemble_residual(problem.vector)
-            problem.assemble_jacobian(problem.matrix)
+            problem.assemble_jacobian()
         finally:
             sys.setprofile(None)
     return count
