@@ -14,7 +14,24 @@ from cosserat_fx.stepping import Step
 SECONDS_BETWEEN_LINES = 5.0
 
 
-class RunProgress:
+class Bar:
+    """A live bar for as long as a ``with`` statement lasts."""
+
+    _bar: Progress
+
+    def __enter__(self) -> Self:
+        """Show the bar."""
+        self._bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Take the bar away."""
+        self._bar.stop()
+
+
+class RunProgress(Bar):
     """Reports the steps of a run as they are accepted; a context manager."""
 
     def __init__(self, console: Console, length: float) -> None:
@@ -37,17 +54,6 @@ class RunProgress:
             disable=not console.is_terminal,
         )
         self._task = self._bar.add_task("", total=length, travel=0.0, step=0, rate=0.0, iterations=0)
-
-    def __enter__(self) -> Self:
-        """Show the bar."""
-        self._bar.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Take the bar away."""
-        self._bar.stop()
 
     def report(self, step: Step) -> None:
         """Show an accepted step."""

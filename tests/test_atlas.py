@@ -59,7 +59,7 @@ def test_the_samples_fill_the_box_and_the_corners_are_its_own() -> None:
 def test_the_log_gives_back_what_it_was_given(tmp_path: Path) -> None:
     """So that an interrupted atlas goes on with the scene at which it was."""
     scene = atlas.samples(2)[1]
-    outcome = runs.Outcome("stopped", 'it says "no", at 1 m', 0.25, 3, 14, 1, 0, 7, 0.125, True)
+    outcome = runs.Outcome("stopped", 'it says "no", at 1 m', 0.25, 3, 14, 1, 0, 2, 7, 0.125, True)
     runs.Log(tmp_path / "atlas.csv").append(runs.Entry(scene, outcome))
     assert runs.Log(tmp_path / "atlas.csv").read() == [runs.Entry(scene, outcome)]
 

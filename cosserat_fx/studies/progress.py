@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from statistics import median
 from time import monotonic
-from types import TracebackType
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
+from cosserat_fx.progress import Bar
 from cosserat_fx.studies.choice import Choice
 from cosserat_fx.studies.plan import weight
 from cosserat_fx.studies.runs import LONG, Record
@@ -78,7 +78,7 @@ class Forecast:
         return max(LEAST_PATIENCE, PATIENCE * self.seconds(choice))
 
 
-class StudyProgress:
+class StudyProgress(Bar):
     """Reports the runs of a study: a live bar on a terminal, plain lines in a log; a context manager."""
 
     def __init__(self, console: Console) -> None:
@@ -102,17 +102,6 @@ class StudyProgress:
             disable=not console.is_terminal,
         )
         self._task = self._bar.add_task("", total=1, left="")
-
-    def __enter__(self) -> Self:
-        """Show the bar."""
-        self._bar.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Take the bar away."""
-        self._bar.stop()
 
     def plan(self, left: Sequence[Task], forecast: Forecast) -> None:
         """Tell what is left to do after the first run.
