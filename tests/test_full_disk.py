@@ -14,7 +14,7 @@ from faults import SMALL, assert_nothing_lost, launch, rows
 
 from cosserat_fx.results import read_run
 
-ROOMS = (4096, 3 * 4096, 6 * 4096, 15 * 4096)
+ROOMS = (4096, 4 * 4096, 5 * 4096, 6 * 4096, 7 * 4096, 15 * 4096)
 """Free bytes of a small disk, one try after the other."""
 LARGEST_FILES = (100, 1000, 5000, 30000)
 """Bytes of the largest file allowed, where there is no small disk."""
