@@ -32,6 +32,8 @@ class FormMatrix:
         starts, columns = (part.astype(PETSc.IntType, copy=False) for part in (rows.indptr, rows.indices))
         size = 2 * (len(starts) - 1,)
         self.petsc = PETSc.Mat().createAIJWithArrays(size, (starts, columns, rows.data), comm=form.mesh.comm)
+        block = form.function_spaces[0].dofmap.index_map_bs  # multigrid keeps the components of a node together
+        self.petsc.setBlockSizes(block, block)
 
     def assemble(self, bcs: Sequence[dolfinx.fem.DirichletBC]) -> None:
         """Assemble the form, with unit rows and zero columns at prescribed entries.

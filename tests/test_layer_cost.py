@@ -34,12 +34,12 @@ def test_a_second_run_compiles_nothing(tmp_path: Path, default_runs: dict[str, R
     """The forms come from the cache on disk, the kernel from this process, whatever the mesh."""
     assert default_runs
     kernel: Any = build_update(layout("layer"), spin=True, void_ratio=True)
-    forms, signatures = compiled_forms(), list(kernel.signatures)
+    forms, signatures = compiled_forms(), list(kernel.func.signatures)
     assert len(signatures) == 1
     assert forms
     walk(tmp_path / "run", "medium_rough", "geometry.cells=50", "stepping.max_steps=3")
     assert compiled_forms() == forms
-    assert kernel.signatures == signatures
+    assert kernel.func.signatures == signatures
 
 
 def test_a_walk_creates_no_form_space_or_matrix(monkeypatch: pytest.MonkeyPatch) -> None:
