@@ -183,8 +183,8 @@ def draw(measured: Mapping[str, Mapping[str, Any]], out: Path) -> None:
         left.axvline(1.0, **GUIDE)
         left.set_yticks(range(len(labels)), [f"{body}: {name}" for body, name in labels])
         left.invert_yaxis()
-        left.set(xscale="log", xlabel="time of an iteration over that of the run as it is")
-        right.set(xscale="log", xlabel="change of the peak (full) and the residual stress (open), %")
+        left.set(xscale="log", xlabel="time of an iteration, ratio")
+        right.set(xscale="log", xlabel="change of the peak (full) and\nthe residual stress (open), %")
 
 
 def main(
