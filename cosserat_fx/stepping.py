@@ -46,7 +46,7 @@ class StepControl:
     strain: float = 0.4
     growth: float = 1.5
     max_steps: int = 100_000
-    max_jumps: int = 100
+    max_jumps: int = 150
 
     def __post_init__(self) -> None:
         """Fill in the stiff travel and the smallest step."""

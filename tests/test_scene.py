@@ -76,7 +76,7 @@ def test_what_a_scene_leaves_out_is_filled_in() -> None:
         "tolerance": 0.12,
         "strain": 0.4,
         "max_steps": 100000,
-        "max_jumps": 100,
+        "max_jumps": 150,
         "branch": None,
     }
     assert (scene.solver.integration_points, scene.solver.petsc) == (1, {})

@@ -206,7 +206,7 @@ class Stepping(Table):
     """Aimed largest strain increment of any point."""
     max_steps: int = Field(default=100_000, ge=1)
     """Number of accepted steps after which the run stops."""
-    max_jumps: int = Field(default=100, ge=0)
+    max_jumps: int = Field(default=150, ge=0)
     """Number of jumps to another equilibrium that a run may have; with more the body moves by stick and slip."""
     branch: Literal["stable", "primary"] | None = None
     """What to do where equilibrium bifurcates: go on along a stable branch (the default in the plane), or stay on the
