@@ -26,12 +26,12 @@ from timing_pairs import Spread, alternately, ratio, spread, table, write
 
 from cosserat_fx._compat import MPI
 from cosserat_fx.bodies import build
-from cosserat_fx.hypoplasticity import tables
 from cosserat_fx.layout import Layout
 from cosserat_fx.material import KernelConstants
 from cosserat_fx.output.page import GUIDE, figure
 from cosserat_fx.scene import load_scene
 from cosserat_fx.state import MAX_SUBSTEPS, QuadratureState
+from cosserat_fx.tables import tables
 from cosserat_fx.typing import Array
 from cosserat_fx.update import build_update
 

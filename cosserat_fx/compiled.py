@@ -13,7 +13,17 @@ from numba import njit
 
 from cosserat_fx.typing import IntArray
 
-_INLINED = ("dense.py", "elementary.py", "hypoplasticity.py", "material.py", "rows.py", "update.py")
+_INLINED = (
+    "dense.py",
+    "elementary.py",
+    "hypoplasticity.py",
+    "integration.py",
+    "material.py",
+    "rows.py",
+    "stages.py",
+    "tables.py",
+    "update.py",
+)
 
 
 def inline[Function: Callable[..., Any]](function: Function) -> Function:

@@ -32,9 +32,9 @@ from cosserat_fx.hypoplasticity import (
     rate,
     stage_matrix,
     state_factors,
-    tables,
 )
 from cosserat_fx.layout import Dimension, Layout, layout
+from cosserat_fx.tables import tables
 from cosserat_fx.typing import Array
 
 SOLID = layout("solid")

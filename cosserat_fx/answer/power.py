@@ -41,9 +41,11 @@ from math import log
 import numpy as np
 from numba import njit
 
-from cosserat_fx.hypoplasticity import critical_stress, state_factors, tables
+from cosserat_fx.compiled import fingerprint
+from cosserat_fx.hypoplasticity import critical_stress, state_factors
 from cosserat_fx.layout import Component, Layout
 from cosserat_fx.material import KernelConstants
+from cosserat_fx.tables import tables
 from cosserat_fx.typing import Array, IntArray
 
 Power = Callable[..., tuple[float, float, float]]
@@ -71,7 +73,7 @@ def build_power(layout: Layout, *, finite: bool) -> Power:
         - rule: the largest difference of any point between log(J/J_n) and the law's own change of log(1 + e),
           (J - J_n)/J_m. Of small strains both are the trace of the increment, and it is 0.
     """
-    t = tables(layout, spin=False)
+    t, sources = tables(layout, spin=False), fingerprint()
     n, n_stress, n_strain, n_driven = (
         len(layout.forces),
         len(layout.stress),
@@ -98,6 +100,7 @@ def build_power(layout: Layout, *, finite: bool) -> Power:
         weights: Array,
         c: KernelConstants,
     ) -> tuple[float, float, float]:
+        assert len(sources)  # numba tells compiled functions by what they use
         deviator = np.zeros(6)
         z = np.zeros(n)
         work = 0.0
