@@ -9,6 +9,7 @@ from cosserat_fx._compat import PETSc
 from cosserat_fx.bodies import Body, refused_by_petsc
 from cosserat_fx.kernel_time import seconds_per_update
 from cosserat_fx.memory import Footprint, available_memory, footprint, in_words, sizes_of
+from cosserat_fx.timing import duration
 
 UPDATES_PER_STEP = 8
 ITERATIONS_PER_STEP = 6
@@ -53,8 +54,8 @@ class Cost:
         """A few lines for the user."""
         factors = "" if self.factor_bytes is None else f", {self.factor_bytes / 1e6:.3g} MB of factors"
         return (
-            f"expected cost on {self.ranks} rank(s): about {self.steps} steps in {in_time(self.seconds)}, "
-            f"{in_time(self.update_seconds)} of it constitutive update, {in_time(self.solver_seconds)} assembly and "
+            f"expected cost on {self.ranks} rank(s): about {self.steps} steps in {duration(self.seconds)}, "
+            f"{duration(self.update_seconds)} of it constitutive update, {duration(self.solver_seconds)} assembly and "
             "solution\n"
             f"memory: {self.state_bytes / 1e6:.3g} MB of state, {self.nonzeros} non-zeros{factors}; "
             f"about {in_words(self.expected.total)} in all, of {in_words(self.available)}"
@@ -120,11 +121,3 @@ def _factor_bytes(body: Body) -> int | None:
         return None
     factors = solver.snes.getKSP().getPC().getFactorMatrix()
     return int(1e6 * factors.getMumpsInfog(19))
-
-
-def in_time(seconds: float) -> str:
-    """A duration in words, to two digits."""
-    for unit, size in (("h", 3600.0), ("min", 60.0)):
-        if seconds >= size:
-            return f"{seconds / size:.2g} {unit}"
-    return f"{seconds:.2g} s"

@@ -1,4 +1,4 @@
-"""Seconds spent in each phase of a run."""
+"""Seconds spent in each phase of a run, and how to tell a duration."""
 
 from __future__ import annotations
 
@@ -48,3 +48,10 @@ class Stopwatch:
             self.seconds[phase] += seconds - self._inside
             self.calls[phase] += 1
             self._inside = before + seconds
+
+
+def duration(seconds: float) -> str:
+    """A duration in the unit that suits it, to the two digits that an estimate may have."""
+    suiting = [(unit, size) for unit, size in (("h", 3600.0), ("min", 60.0)) if seconds >= 1.5 * size]
+    unit, size = suiting[0] if suiting else ("s", 1.0)
+    return f"{float(f'{seconds / size:.2g}'):g} {unit}"

@@ -11,6 +11,7 @@ from cosserat_fx.cost import expected_cost
 from cosserat_fx.results import read_run
 from cosserat_fx.run import run
 from cosserat_fx.scene import load_scene
+from cosserat_fx.timing import duration
 
 SCENES = ("layer_very_rough", "biaxial")
 
@@ -55,3 +56,8 @@ def test_another_solver_does_not_tell_the_size_of_its_factors() -> None:
 def test_no_more_steps_are_expected_than_are_allowed() -> None:
     options = [*NOTHING_TO_LOOK_AT, "stepping.max_steps=3"]
     assert expected_cost(build(load_scene(DEMOS / "layer_very_rough.toml", options), MPI.COMM_SELF)).steps == 3
+
+
+def test_durations_are_told_to_two_digits() -> None:
+    told = {0.1234: "0.12 s", 85.4: "85 s", 125.0: "2.1 min", 5399.0: "90 min", 7300.0: "2 h", 443_000.0: "120 h"}
+    assert {seconds: duration(seconds) for seconds in told} == told

@@ -14,6 +14,7 @@ from cosserat_fx.progress import Bar
 from cosserat_fx.studies.choice import Choice
 from cosserat_fx.studies.plan import weight
 from cosserat_fx.studies.runs import LONG, Record
+from cosserat_fx.timing import duration
 
 PATIENCE, LEAST_PATIENCE = 20.0, 300.0
 """A run is stopped after so many times what was expected of it, and not before so many seconds."""
@@ -145,11 +146,4 @@ class StudyProgress(Bar):
         if self._forecast is None:
             return ""
         seconds = sum(self._forecast.of(task) for task in self._left)
-        return f", about {in_words(seconds)} left"
-
-
-def in_words(seconds: float) -> str:
-    """A time, as precise as an estimate can be."""
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+        return f", about {duration(seconds)} left"
