@@ -33,7 +33,7 @@ def inline[Function: Callable[..., Any]](function: Function) -> Function:
 
 def kernel[Function: Callable[..., Any]](function: Function) -> Function:
     """Decorator: compile a function once, for all of its compiled callers."""
-    return cast(Function, njit(error_model="numpy", nogil=True)(function))
+    return cast(Function, njit(error_model="numpy")(function))
 
 
 @cache

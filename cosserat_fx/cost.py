@@ -76,7 +76,6 @@ def expected_cost(body: Body) -> Cost:
     by_strain = path.length / min(control.strain * band, control.largest)
     steps = int(min(STEPS_TO_PEAK * (len(path.corners) - 1) + by_strain, control.max_steps))
     points, ranks = problem.sizes["quadrature_points"], problem.comm.size
-    part = min(1.0, BAND_IN_GRAINS * problem.material.d50 / problem.geometry.smallest_extent)
     try:
         iteration = _seconds_per_iteration(body)
     except PETSc.Error as error:
@@ -84,7 +83,11 @@ def expected_cost(body: Body) -> Cost:
     return Cost(
         steps=steps,
         ranks=ranks,
-        update_seconds=steps * UPDATES_PER_STEP * points / ranks * seconds_per_update(body, part),
+        update_seconds=steps
+        * UPDATES_PER_STEP
+        * points
+        / ranks
+        * seconds_per_update(body, band / problem.geometry.smallest_extent),
         solver_seconds=steps * ITERATIONS_PER_STEP * iteration,
         state_bytes=points * problem.state.bytes_per_point,
         nonzeros=int(problem.matrix.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]),

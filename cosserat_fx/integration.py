@@ -29,7 +29,7 @@ given: with it frozen the update is a smooth function of the increment.
 
 from __future__ import annotations
 
-from math import sqrt
+from math import inf, sqrt
 
 from cosserat_fx import rows as row
 from cosserat_fx.compiled import kernel
@@ -37,7 +37,7 @@ from cosserat_fx.dense import solve
 from cosserat_fx.elementary import exponential
 from cosserat_fx.hypoplasticity import Status, add_input_derivative, rate
 from cosserat_fx.material import KernelConstants
-from cosserat_fx.stages import solve_stage
+from cosserat_fx.stages import mark_lost, solve_stage
 from cosserat_fx.tables import Tables
 from cosserat_fx.typing import Array
 
@@ -45,7 +45,7 @@ GAMMA = 1.0 - 1.0 / sqrt(2.0)
 _SECOND_BY_FIRST = (1.0 - GAMMA) / GAMMA
 _ERROR_FACTOR = 2.0 / 3.0
 
-_OK = float(Status.OK)
+_OK, _LOCAL_NEWTON = float(Status.OK), float(Status.LOCAL_NEWTON)
 
 
 @kernel
@@ -85,6 +85,10 @@ def integrate(
         _copy(rows, row.STAGE_SENSITIVITY, row.SENSITIVITY, derivatives, lanes)
         if _all_failed(rows, lanes):
             return
+    mark_lost(rows, row.SENSITIVITY, derivatives, lanes)
+    for lane in range(lanes):
+        lost, failure = rows[row.ALONG, lane] != 0.0, rows[row.FAILURE, lane]
+        rows[row.FAILURE, lane] = max(failure, _LOCAL_NEWTON) if lost else failure
 
 
 @kernel
@@ -170,6 +174,9 @@ def _end_estimate(rows: Array, n: int, lanes: int) -> None:
             explicit = (1.0 - GAMMA) * rows[row.EXPLICIT + i, lane]
             rows[row.CORRECTION + i, lane] = _ERROR_FACTOR * (first - explicit - last)
     solve(rows, row.MATRIX, row.CORRECTION, n, 1, lanes)
+    mark_lost(rows, row.CORRECTION, n, lanes)
+    for lane in range(lanes):
+        rows[row.ESTIMATE, lane] = inf if rows[row.ALONG, lane] != 0.0 else rows[row.ESTIMATE, lane]
     for i in range(n):
         for lane in range(lanes):
             relative = -abs(rows[row.CORRECTION + i, lane]) * rows[row.INVERSE_TRACE, lane]

@@ -34,12 +34,8 @@ def solve_stage(rows: Array, lanes: int, c: KernelConstants, t: Tables, want_fac
     for iteration in range(_NEWTON_ITERATIONS + 1):
         for _ in range(_NEWTON_HALVINGS):
             rate(rows, row.CANDIDATE, lanes, c, t)
-            outside = 0.0
-            for lane in range(lanes):
-                outside = max(outside, rows[row.ACTIVE, lane] * rows[row.CODE, lane])
-            if outside == 0.0:
+            if not _bring_inside(rows, n, lanes, iteration == 0):
                 break
-            _bring_inside(rows, n, lanes, iteration == 0)
         going_on = _accept(rows, n, lanes, iteration == 0)
         if not going_on and not want_factors:
             return
@@ -53,19 +49,24 @@ def solve_stage(rows: Array, lanes: int, c: KernelConstants, t: Tables, want_fac
 
 
 @kernel
-def _bring_inside(rows: Array, n: int, lanes: int, first: bool) -> None:
-    """Change the candidates outside of the law's domain: a first guess that is too dense, else corrections."""
+def _bring_inside(rows: Array, n: int, lanes: int, first: bool) -> bool:
+    """Change the candidates outside of the law's domain: a first guess that is too dense, else corrections.
+
+    Returns:
+        Whether there were any.
+    """
+    changed = False
     for lane in range(lanes):
         outside = rows[row.ACTIVE, lane] * rows[row.CODE, lane]
-        if outside == _OK:
+        if outside == _OK or (first and outside != _DENSE):
             continue
+        changed = True
         rows[row.DAMPING, lane] *= 0.5
         for i in range(n):
-            if not first:
-                correction = rows[row.DAMPING, lane] * rows[row.CORRECTION + i, lane]
-                rows[row.CANDIDATE + i, lane] = rows[row.STAGE + i, lane] + correction
-            elif outside == _DENSE:
-                rows[row.CANDIDATE + i, lane] *= 2.0
+            correction = rows[row.DAMPING, lane] * rows[row.CORRECTION + i, lane]
+            halved, doubled = rows[row.STAGE + i, lane] + correction, 2.0 * rows[row.CANDIDATE + i, lane]
+            rows[row.CANDIDATE + i, lane] = doubled if first else halved
+    return changed
 
 
 @kernel
@@ -99,13 +100,9 @@ def _correct(rows: Array, n: int, lanes: int) -> None:
             known = rows[row.BASE + i, lane] - rows[row.STAGE + i, lane]
             rows[row.CORRECTION + i, lane] = known + rows[row.SCALE, lane] * rows[row.RATE + i, lane]
     solve(rows, row.MATRIX, row.CORRECTION, n, 1, lanes)
+    mark_lost(rows, row.CORRECTION, n, lanes)
     for lane in range(lanes):
         rows[row.DAMPING, lane] = 1.0
-        rows[row.ALONG, lane] = 0.0
-    for i in range(n):
-        for lane in range(lanes):
-            rows[row.ALONG, lane] += 0.0 * rows[row.CORRECTION + i, lane]  # not a number where this is not finite
-    for lane in range(lanes):
         lost = rows[row.ALONG, lane] != 0.0
         failure = rows[row.FAILURE, lane]
         rows[row.FAILURE, lane] = max(failure, _LOCAL_NEWTON * rows[row.ACTIVE, lane]) if lost else failure
@@ -114,3 +111,13 @@ def _correct(rows: Array, n: int, lanes: int) -> None:
         for lane in range(lanes):
             correction = rows[row.CORRECTION + i, lane] if rows[row.ACTIVE, lane] > 0.0 else 0.0
             rows[row.CANDIDATE + i, lane] = rows[row.STAGE + i, lane] + correction
+
+
+@kernel
+def mark_lost(rows: Array, first: int, number: int, lanes: int) -> None:
+    """Let the sum on its way be 0 for points with finite numbers in some rows, else not: a pivot was zero."""
+    for lane in range(lanes):
+        rows[row.ALONG, lane] = 0.0
+    for k in range(number):
+        for lane in range(lanes):
+            rows[row.ALONG, lane] += 0.0 * rows[first + k, lane]

@@ -41,8 +41,7 @@ def _choose(pending: IntArray, points: IntArray, status: CodeArray, substeps: In
     Some that failed are tried first, as all others are of no use if they fail for good. The chosen are in the order of
     their numbers of substeps, so that those who go together have as much to do.
     """
-    number, failed = 0, 0
-    most = 0
+    failed, most = 0, 0
     for at in pending:
         failed += status[points[at]] >= FIRST_FAILURE
         most = max(most, substeps[points[at]])
@@ -152,7 +151,7 @@ def _more_substeps(number: int, failed: bool, estimate: float, tolerance: float)
 
 @cache
 def build_update(layout: Layout, *, spin: bool = True, void_ratio: bool = True) -> Update:
-    """The compiled update of a batch of points, specialised for one kind of problem.
+    """The compiled update of a batch of points for one kind of problem; its working memory is for one caller at a time.
 
     Args:
         layout: components of the problem; polar or classical.
@@ -188,7 +187,7 @@ def _compiled() -> Update:
     """The kernel for all layouts and effects, which numba keeps on disk for as long as the sources stay as they are."""
     sources = fingerprint()
 
-    @njit(cache=True, error_model="numpy", nogil=True)
+    @njit(cache=True, error_model="numpy")
     def update(
         rows: Array,
         t: Tables,

@@ -20,7 +20,10 @@ from points import (
 )
 from reference_law import characteristic_void_ratios
 
+from cosserat_fx import rows as row
+from cosserat_fx.dense import factorise, solve
 from cosserat_fx.hypoplasticity import FIRST_FAILURE, REASONS, Status
+from cosserat_fx.stages import mark_lost
 from cosserat_fx.typing import Array
 
 WRITTEN = ("forces", "void_ratio", "tangent", "substeps", "status", "error")
@@ -181,6 +184,20 @@ def test_a_failing_point_ends_the_search_for_substeps() -> None:
     assert result.substeps[others].sum() < alone.substeps[others].sum() / 2
     for failing in (4, 7):
         np.testing.assert_array_equal(result.forces[failing], forces[failing])
+
+
+def test_a_zero_pivot_does_not_pass_as_an_answer() -> None:
+    """Factors without pivoting leave what is not finite behind it, which is noticed, in its own lane alone."""
+    rows = np.full((row.NUMBER, row.LANES), np.nan)
+    rows[row.MATRIX : row.MATRIX + 4, :3] = np.array(
+        [[2.0, 0.0, 1.0], [1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [3.0, 0.0, 1.0]]
+    )
+    rows[row.CORRECTION : row.CORRECTION + 2, :3] = 1.0
+    factorise(rows, row.MATRIX, 2, 3)
+    solve(rows, row.MATRIX, row.CORRECTION, 2, 1, 3)
+    mark_lost(rows, row.CORRECTION, 2, 3)
+    assert (rows[row.ALONG, :3] != 0).tolist() == [False, True, False]
+    assert rows[row.CORRECTION : row.CORRECTION + 2, 0] == pytest.approx([0.4, 0.2])
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e200])
